@@ -238,9 +238,10 @@ class Result(Glance):
             offered=Offered(len(terms), len(self.fit.control)), rmse=rmse_record(self.rmse),
             baselines=tuple(baseline.row() for baseline in self.baselines),
             final=None if final is None else FinalFit(
-                final.control.ids, final.scaling.numbers(), final.coefficients,
-                final.standard_deviations, adjustment_figures(final), fit_record(final),
-                self.predicted_final),
+                features=final.control.ids, scaling=final.scaling.numbers(),
+                coefficients=final.coefficients, standard_deviations=final.standard_deviations,
+                adjustment=adjustment_figures(final), fit=fit_record(final),
+                predicted=self.predicted_final),
             exported="final" if final else "selection", hit_rate=self.hit_rate,
             coefficients=self.fit.coefficients,
             standard_deviations=self.fit.standard_deviations, fit=fit_record(self.fit),
@@ -257,9 +258,11 @@ class Result(Glance):
         selected = member.selection
         model = self.fit.model.with_parameters(selected.parameters or {})
         iterated = None if member.iterated is UNSET else member.iterated
+        control = observations.control
         return least_squares_of(
-            model, observations.control, self.fit.scaling, np.isin(model.terms, selected.terms),
-            np.isin(observations.control.ids, selected.features), observations.check, iterated)
+            model, control, self.fit.scaling, terms=np.isin(model.terms, selected.terms),
+            used=np.isin(control.ids, selected.features), check=observations.check,
+            iterated=iterated)
 
     def of_image(self, size: tuple[int, int]) -> Result:
         """Return the result with the size of its image, which files of points do not state.

@@ -38,11 +38,15 @@ def fit_record(fitted: Fit) -> FitRecord:
 
 def adjustment_figures(fitted: Fit, orientation_spread: float | None = None) -> AdjustmentFigures:
     """Return the figures of the adjustment of a fit, with the orientation spread of its lines."""
-    of = fitted.adjustment
+    adjustment = fitted.adjustment
     return AdjustmentFigures(
-        of.n_equations, of.n_terms, of.redundancy, of.rank, finite_or_none(of.condition),
-        finite_or_none(of.sigma0 * fitted.scaling.image_scale), orientation_spread,
-        of.steps, None if of.steps is None else of.converged)
+        equations=adjustment.n_equations, terms=adjustment.n_terms,
+        redundancy=adjustment.redundancy, rank=adjustment.rank,
+        condition=finite_or_none(adjustment.condition),
+        # In px; that of the adjustment is in the scaled unit.
+        sigma0=finite_or_none(adjustment.sigma0 * fitted.scaling.image_scale),
+        orientation_spread=orientation_spread, steps=adjustment.steps,
+        converged=None if adjustment.steps is None else adjustment.converged)
 
 
 def fit_of_record(model: SensorModel, control: FeatureSet, scaling: Scaling, used: BoolArray,
@@ -83,13 +87,14 @@ def fit_of_record(model: SensorModel, control: FeatureSet, scaling: Scaling, use
             held_out = repeated.stored_held_out
     # The figures of the record, whatever the rounding of this machine.
     adjustment = Adjustment(
-        values,
-        _by_term(model, deviations, 0.0 if estimator.least_squares else np.nan),
-        figures.terms, figures.equations, figures.rank,
-        np.inf if figures.condition is None else figures.condition,
-        number(figures.sigma0) / scaling.image_scale, correlations,
-        figures.steps, figures.converged is not False)
-    return Fit(model, scaling, control, terms, used, adjustment, estimator, trace, held_out)
+        coefficients=values,
+        deviations=_by_term(model, deviations, 0.0 if estimator.least_squares else np.nan),
+        n_terms=figures.terms, n_equations=figures.equations, rank=figures.rank,
+        condition=np.inf if figures.condition is None else figures.condition,
+        sigma0=number(figures.sigma0) / scaling.image_scale, correlations=correlations,
+        steps=figures.steps, converged=figures.converged is not False)
+    return Fit(model, scaling, control, terms, used, adjustment, estimator=estimator, trace=trace,
+               stored_held_out=held_out)
 
 
 def _by_term(model: SensorModel, values: Mapping[str, float | None],

@@ -87,14 +87,15 @@ class _Watch:
         self.fits: list[Fit] = []
         self.count = 0
 
-    def tell(self, what: str, share: float | None = None) -> None:
+    def tell(self, activity: str, share: float | None = None) -> None:
         """Tell what is being done, and the share of it that is done."""
         best = min((fitted.held_out_rmse for fitted in self.fits), default=np.inf)
         generation = Generation(self.count, np.zeros((0, 0), dtype=bool),
                                 Evaluation(np.zeros((0, 1)), np.zeros(0)))
         # No observer ends a choice: it is none before all candidates are judged.
-        self._observers.tell(Progress(generation, self.count, share, best, 0.0,
-                                      np.zeros(0, dtype=bool), what))
+        self._observers.tell(Progress(
+            generation, self.count, share=share, best=best, violation=0.0,
+            genes=np.zeros(0, dtype=bool), what=activity))
 
     def method(self, fitted: Fit | None) -> None:
         """Count a method that was tried, and tell."""
@@ -138,17 +139,17 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
     blunders = verdict.blunders | verdict.high
     clean = leave_out(observations, blunders) if blunders else observations
     data = clean.pool
-    chosen = _choose(clean, auto, watch, seed)
-    choice = chosen.choice
+    outcome = _choose(clean, auto, watch, seed)
+    choice = outcome.choice
     method = choice.method
     # A method that is asked for is held against those that are built in.
     comparison = compare(clean, Auto(memory=auto.memory)) if auto.is_one_method \
         else compare(clean, auto, choice)
-    errors = chosen.errors
+    errors = outcome.errors
     if errors is not None and not len(choice.chosen.control.lines):
         # What lines were predicted to be says nothing.
         errors = errors[:len(data.features.points)]
-    predicted = chosen.between
+    predicted = outcome.between
     if errors is not None and clean.lattice is None:
         predicted = predicted_by(choice.chosen, errors, len(observations.independent),
                                  observations.independent.ground)
@@ -160,9 +161,9 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
     predicted_final = None if final is None or predicted is None else predicted_of_all(
         choice.chosen, predicted, agreeing.independent.ground)
 
-    def baselines(seen: Observations) -> tuple[Baseline, ...]:
+    def baselines(in_roles: Observations) -> tuple[Baseline, ...]:
         # The chosen one is the selection, and is not shown twice unless it is plain.
-        return tuple(row for row in comparison.baselines(seen)
+        return tuple(row for row in comparison.baselines(in_roles)
                      if row.name != method.name or method.is_plain)
 
     def judgement(rmse: Rmses, rivals: tuple[Baseline, ...]) -> str:
@@ -171,7 +172,7 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
 
     rpc_unused, rpc_correction = _on_rpc(request, data, auto, choice.chosen)
     interrupted = INTERRUPTED.format(min(watch.count, watch.methods), watch.methods) \
-        if chosen.interrupted else ""
+        if outcome.interrupted else ""
     heights_are_known = auto.fewest(observations.pool) == 1 or (
         fitted.model.uses_height and not data.heights)
     lattice = clean.lattice
@@ -181,7 +182,8 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
         *notes_on_data(request.features, observations, heights=not heights_are_known,
                        blank=request.blank),
         *_notes(request.model, clean, errors, interrupted, plane=not fitted.model.uses_height,
-                determined=chosen.exact, known=method.from_one),
+                determined=outcome.exact,
+                has_geometry=method.from_one),
         *([] if lattice is None else [lattice.sentence(known=method.from_one)]),
         *_high(verdict), *verdict.notes, *_lines(fitted), *contradicting.notes, *auto.notes)
     rmse = choice.chosen.held_out_rmse
@@ -197,7 +199,7 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
                  "solver": {}, "criterion": {}, "search": {}},
         plugins=plugins_of(request, model=type(fitted.model), method=method),
         objectives={"press": rmse} if np.isfinite(rmse) else {},
-        feasible=True, interrupted=chosen.interrupted,
+        feasible=True, interrupted=outcome.interrupted,
         evaluations=watch.count or len(choice.compared), lookups=0, generations=0,
         seconds=time.perf_counter() - start, predicted=predicted, predicted_final=predicted_final,
         final=final, strategy=_strategy(choice, errors, predicted, data, clean, rpc_unused))
@@ -207,17 +209,17 @@ def _choose(clean: Observations, auto: Auto, watch: _Watch, seed: int) -> _Chose
     """Return the choice from control and check without blunders, and its repetition in folds."""
     data = clean.pool
     features = data.features
-    enough = len(features) >= auto.fewest(data)
+    is_enough = len(features) >= auto.fewest(data)
     choice: Choice | None = None
     try:
-        if len(features) < LEAST and not enough:
+        if len(features) < LEAST and not is_enough:
             raise TermselError(
                 f"one point is not enough for a model. {_unused_rpc(data, auto)}".strip(),
                 hint="Measure more.")
-        choice = auto.choose_features(data, watch.method) if enough else exact(data)
-        if choice and enough and len(features) > EXACT:
+        choice = auto.choose_features(data, watch.method) if is_enough else exact(data)
+        if choice and is_enough and len(features) > EXACT:
             view = exact_view(data, choice, auto)
-            enough = view is choice
+            is_enough = view is choice
             choice = view
         if choice is None:
             raise TermselError(_no_choice(auto, data), hint="Measure more, spread over the scene"
@@ -233,16 +235,16 @@ def _choose(clean: Observations, auto: Auto, watch: _Watch, seed: int) -> _Chose
             between = None if choice.method.from_one else auto.between_lines(
                 data, lattice, watch.method, choice)
             if between is not None:
-                return _Chosen(choice, between[0], not enough, predicted_between(*between))
-        elif errors is None and enough and len(features) > 1:
+                return _Chosen(choice, between[0], not is_enough, predicted_between(*between))
+        elif errors is None and is_enough and len(features) > 1:
             errors = auto.repeated(data, watch.method, choice)
-        return _Chosen(choice, errors, not enough)
+        return _Chosen(choice, errors, not is_enough)
     except KeyboardInterrupt:
         best = choice or auto.best_of(watch.fits)
         if best is None:
             raise
         answered()
-        return _Chosen(best, exact=not enough, interrupted=True)
+        return _Chosen(best, exact=not is_enough, interrupted=True)
 
 
 def _no_choice(auto: Auto, data: FitData) -> str:
@@ -272,11 +274,13 @@ def _strategy(choice: Choice, errors: FloatArray | None, predicted: Predicted | 
         CandidateRow(method_of(fitted).name, fitted.model.name, int(fitted.terms.sum()),
                      fitted.effective, finite_or_none(fitted.held_out_rmse))
         for fitted in choice.compared)
-    return Strategy("auto", choice.method.name, choice.reason, held_out, folds_of(data.features),
-                    ("control", "check"), candidates, rpc_unused)
+    return Strategy(
+        name="auto", chosen=choice.method.name, reason=choice.reason, predicted=held_out,
+        folds=folds_of(data.features), fitted_to=("control", "check"), candidates=candidates,
+        rpc=rpc_unused)
 
 
-def _final_fit(chosen: Fit, points: Points, heights: bool, auto: Auto,
+def _final_fit(fitted: Fit, points: Points, heights: bool, auto: Auto,
                blunders: Collection[str]) -> Fit | None:
     """Return the chosen structure fitted to all points, independent ones included.
 
@@ -284,16 +288,16 @@ def _final_fit(chosen: Fit, points: Points, heights: bool, auto: Auto,
     independent points stay out. None where there is no further point, and where the fit has a pole
     or is not determined.
     """
-    control = chosen.control
+    control = fitted.control
     further = points.take([role in ASSIGNABLE and name not in blunders
                            for name, role in zip(points.ids, points.roles, strict=True)])
-    every = merged(control.with_(points=further))
+    features = merged(control.with_(points=further))
     # A plane model must not be fitted to points whose heights do tell.
-    with_height = every.take(~np.isin(every.ids, every.without_height()))
-    if len(every) == len(control) or (
+    with_height = features.take(~np.isin(features.ids, features.without_height()))
+    if len(features) == len(control) or (
             not heights and len(with_height) and FitData.of(with_height).heights):
         return None
-    final: Fit | None = auto.ask(method_of(chosen), "refit", chosen, FitData.of(every, heights))
+    final: Fit | None = auto.ask(method_of(fitted), "refit", fitted, FitData.of(features, heights))
     return final if final is not None and final.determined and not has_pole(final) else None
 
 
@@ -313,25 +317,25 @@ def _lines(fitted: Fit) -> list[str]:
     return [f"None of the {counted(lines, 'line')} is used: the points alone predict better."]
 
 
-def _on_rpc(request: Request, data: FitData, auto: Auto, chosen: Fit) -> tuple[str, str]:
+def _on_rpc(request: Request, data: FitData, auto: Auto, fitted: Fit) -> tuple[str, str]:
     """Return what is to be said first of an RPC that is given, and how it is corrected."""
     if data.features.rpc is None:
         return "", ""
-    method = method_of(chosen)
+    method = method_of(fitted)
     if method.from_one:
         return ("" if request.rpc_part is None else request.rpc_part.sentence(),
-                auto.ask(method, "describe", chosen) or "")
-    return _unused_rpc(data, auto, chosen), ""
+                auto.ask(method, "describe", fitted) or "")
+    return _unused_rpc(data, auto, fitted), ""
 
 
-def _unused_rpc(data: FitData, auto: Auto, chosen: Fit | None = None) -> str:
+def _unused_rpc(data: FitData, auto: Auto, fitted: Fit | None = None) -> str:
     """Return why an RPC that is given is not used; "" where a note says which method failed."""
     if data.features.rpc is None:
         return ""
     able = [method for method in auto.methods if method.from_one and len(data) <= method.most]
     reasons = list(filter(None, (auto.ask(method, "declines", data) for method in able)))
-    if chosen is not None and auto.fewest(data) == 1:
-        reason = (f"{method_of(chosen).title} predicts the {data.features.word} better, beyond "
+    if fitted is not None and auto.fewest(data) == 1:
+        reason = (f"{method_of(fitted).title} predicts the {data.features.word} better, beyond "
                   "chance")
     elif missing := registry().missing("rpc-gcps"):
         reason = f"no installed package corrects an RPC. {missing}"
@@ -343,22 +347,25 @@ def _unused_rpc(data: FitData, auto: Auto, chosen: Fit | None = None) -> str:
 
 
 def _notes(model: SensorModel, observations: Observations, errors: FloatArray | None,
-           interrupted: str = "", *, plane: bool, determined: bool, known: bool) -> list[str]:
-    both = observations.together
-    notes = [] if known else [*warnings_of(both, np.ones(len(both), dtype=bool), no_points())]
+           interrupted: str = "", *, plane: bool, determined: bool,
+           has_geometry: bool) -> list[str]:
+    features = observations.together
+    in_use = np.ones(len(features), dtype=bool)
+    notes = [] if has_geometry else [*warnings_of(features, in_use, no_points())]
     if interrupted:
         notes.append(interrupted)
     elif observations.lattice is not None:
         pass  # another note says what its points tell
     elif determined:
-        notes.append(f"{len(both)} {both.word} determine the model exactly, so nothing tells its "
-                     "accuracy." + " They do not tell either whether the image is mirrored."
-                     * (len(both) == 2))
+        mirrored = " They do not tell either whether the image is mirrored." \
+            if len(features) == 2 else ""
+        notes.append(f"{len(features)} {features.word} determine the model exactly, so nothing "
+                     f"tells its accuracy.{mirrored}")
     elif errors is None:
         notes.append("One point cannot be predicted by others, so no accuracy is predicted."
-                     if len(both) == 1 else
-                     f"The {both.word} are too few to repeat the choice without some of them, so "
-                     "it predicts no accuracy.")
+                     if len(features) == 1 else
+                     f"The {features.word} are too few to repeat the choice without some of them, "
+                     "so it predicts no accuracy.")
     if not plane and observations.heights and not model.uses_height:
         notes.append(f"Heights are known and were used. --model {model.name} keeps to a plane "
                      "model.")

@@ -23,16 +23,16 @@ CORRECTED = (" Or leave the rest out: termsel run --points FILE --rpc FILE corre
 
 
 def require_enough(observations: Observations, recipe: Recipe, criterion: Criterion,
-                   model: SensorModel, least: int) -> None:
+                   model: SensorModel, fewest: int) -> None:
     """Refuse data for a problem: too few features, all in one place, or lines in one direction.
 
-    `least` is the fewest control features.
+    `fewest` is the fewest control features.
     """
     control = observations.control
     check = observations.check
-    if len(control) < least:
+    if len(control) < fewest:
         raise TermselError(
-            f"{_given(control)}; {recipe.name} needs at least {least}",
+            f"{_given(control)}; {recipe.name} needs at least {fewest}",
             hint="Measure more, or give more features the role control."
                  + " --criterion press needs no selection points." * criterion.needs_check
                  + CORRECTED * ("rpc" in model.options))
@@ -42,7 +42,7 @@ def require_enough(observations: Observations, recipe: Recipe, criterion: Criter
             f"{criterion.name} needs at least {MIN_CHECK}",
             hint="Give more points the role check: they choose among selections. The criterion "
                  "press needs none (--criterion press).")
-    if least == 1:
+    if fewest == 1:
         return  # what is known of the image makes up for what they do not determine
     if not np.ptp(control.image_vertices(), axis=0).any():
         raise TermselError("all control features have the same place in the image",

@@ -79,11 +79,11 @@ def fit(features: Any, model: str | type[SensorModel] | SensorModel | Method = "
     if isinstance(model, Method):
         _refuse(options, f"method {model.name!r}")
         return _by_method(model, features)
-    given = registry().taken("models", model)
-    if isinstance(given, SensorModel):
-        _refuse(options, f"model {given.name!r}, which has its options already,")
-        return _fitted(given, features)
-    return _fitted(cast(type[SensorModel], given)(**options), features)
+    resolved = registry().taken("models", model)
+    if isinstance(resolved, SensorModel):
+        _refuse(options, f"model {resolved.name!r}, which has its options already,")
+        return _fitted(resolved, features)
+    return _fitted(cast(type[SensorModel], resolved)(**options), features)
 
 
 @one_blas_thread
@@ -110,8 +110,8 @@ def _with_heights(features: FeatureSet) -> FeatureSet:
     return with_roles(features, dict.fromkeys(blank, "off"))
 
 
-def _refuse(options: dict[str, Any], what: str) -> None:
+def _refuse(options: dict[str, Any], subject: str) -> None:
     """Refuse options of something that takes none."""
     if options:
-        raise TermselError(f"{what} takes no option {next(iter(options))!r}",
+        raise TermselError(f"{subject} takes no option {next(iter(options))!r}",
                            hint="Give options with the name or the class of a model.")

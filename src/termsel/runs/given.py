@@ -46,32 +46,32 @@ def auto_of_all(memory: Memory | None = None) -> Auto:
     return Auto(methods=methods, memory=memory or Memory())
 
 
-def class_of(part: type[Configurable] | Configurable) -> type[Configurable]:
+def class_of(component: type[Configurable] | Configurable) -> type[Configurable]:
     """Return a class, or that of an instance."""
-    return part if isinstance(part, type) else type(part)
+    return component if isinstance(component, type) else type(component)
 
 
-def with_options(word: str, part: type[Configurable] | Configurable,
+def with_options(role: str, component: type[Configurable] | Configurable,
                  options: Mapping[str, Any]) -> Any:
     """Return an instance of a class, or the instance that is given, which takes no options.
 
-    `word` is what it is, such as "model".
+    `role` is what it is, such as "model".
     """
-    if isinstance(part, type):
+    if isinstance(component, type):
         try:
-            return part(**options)
+            return component(**options)
         except TermselError as error:
-            error.name = error.name or str(part.name)
+            error.name = error.name or str(component.name)
             raise
     if options:
-        raise TermselError(f"option {next(iter(options))!r} is for the {word} {part.name!r}, which "
-                           "has its options already",
-                           hint=f"Give them with the name or the class of the {word}.",
+        raise TermselError(f"option {next(iter(options))!r} is for the {role} {component.name!r}, "
+                           "which has its options already",
+                           hint=f"Give them with the name or the class of the {role}.",
                            name=next(iter(options)))
-    return part
+    return component
 
 
-def second_solver(recipe: Recipe, given: Mapping[str, Any]) -> Any:
+def second_solver(recipe: Recipe, settings: Mapping[str, Any]) -> Any:
     """Return the solver of the second of two steps as asked for, or the problem's; or None.
 
     Given are the options of all parts. Refuses a solver, or options of one, where there is no
@@ -79,33 +79,34 @@ def second_solver(recipe: Recipe, given: Mapping[str, Any]) -> Any:
     """
     options = {option.name: option.default
                for option in (*recipe.options, *undeclared_options(recipe))}
-    own = [key for key in given if key.startswith("then.")]
-    asked = next((given[key] for key in ("then", "problem.then") if key in given), None)
+    of_second_solver = [key for key in settings if key.startswith("then.")]
+    stated = next((settings[key] for key in ("then", "problem.then") if key in settings), None)
     if "then" not in options:
-        if asked is not None or own:
+        if stated is not None or of_second_solver:
             raise TermselError(
                 f"problem {recipe.name!r} has no steps, so no second step has a solver (--then)",
                 hint="Leave it out, or choose a problem of terms and features, such as "
                      "owdis-lines-terms.")
         return None
-    steps = next((given[key] for key in ("steps", "problem.steps") if key in given),
+    steps = next((settings[key] for key in ("steps", "problem.steps") if key in settings),
                  options.get("steps"))
-    if steps == "joint" and (asked is not None or own):
+    if steps == "joint" and (stated is not None or of_second_solver):
         raise TermselError(
-            f"{own[0] if asked is None else '--then'} is for the solver of the second of two "
-            "steps, and steps=joint has one",
+            f"{of_second_solver[0] if stated is None else '--then'} is for the solver of the "
+            "second of two steps, and steps=joint has one",
             hint="Add --set steps=features-first or steps=terms-first.")
-    solver = None if steps == "joint" else options["then"] if asked is None else asked
-    if own and solver is None:
-        raise TermselError(f"{own[0]} is for the solver of the second step, and --then names none",
+    solver = None if steps == "joint" else options["then"] if stated is None else stated
+    if of_second_solver and solver is None:
+        raise TermselError(f"{of_second_solver[0]} is for the solver of the second step, and "
+                           "--then names none",
                            hint="Add --then NAME, such as --then pso.")
     return solver
 
 
-def objectives_of(asked: str | None, criterion: Criterion) -> tuple[Objective, ...]:
+def objectives_of(names_listed: str | None, criterion: Criterion) -> tuple[Objective, ...]:
     """Return the objectives that an option names, each once, without the criterion.
 
     The names are separated by commas; one that no objective has is refused.
     """
-    names = [name for name in dict.fromkeys(listed(asked)) if name != criterion.name]
+    names = [name for name in dict.fromkeys(listed(names_listed)) if name != criterion.name]
     return tuple(registry().get("objectives", name) for name in names)

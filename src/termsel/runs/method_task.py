@@ -23,11 +23,11 @@ LEAST = 2
 """Control points without which there is no answer."""
 
 
-def request_of_method(problem: str | Recipe, *, options: Any = None, **asked: Any) -> Request:
+def request_of_method(problem: str | Recipe, *, options: Any = None, **arguments: Any) -> Request:
     """Return what is asked for where a method answers a problem, in place of the problem's search.
 
-    `asked` are features, data set, source and model, as for `request_of`. The criterion needs no
-    selection points, as the method is fitted to them as to control, and yet shows their figures;
+    `arguments` are features, data set, source and model, as for `request_of`. The criterion needs
+    no selection points, as the method is fitted to them as to control, and yet shows their figures;
     points go together with lines.
 
     Raises
@@ -39,7 +39,7 @@ def request_of_method(problem: str | Recipe, *, options: Any = None, **asked: An
     if registry().taken("problems", problem).control == "lines":
         options["mixed"] = True
     request = request_of(problem, **{
-        **asked, "criterion": "press", "solver": AllTerms, "options": options})
+        **arguments, "criterion": "press", "solver": AllTerms, "options": options})
     if request.recipe.search_first and request.features.without_height():
         # The model of the search is not asked for, so that it asks for no heights.
         request = replace(request, model=registry().get("models", "poly2d")())

@@ -28,15 +28,17 @@ def data_of(request: Request, observations: Observations) -> DataRecord:
     """Return what a record says of the features of a request, as read and in their roles."""
     features = request.features
     control = observations.control
+    counts = Counts(len(control.points), len(observations.check), len(observations.independent),
+                    len(control.lines.features), len(observations.off))
+    roles = IdsByRole(control.ids, observations.off, observations.check.ids,
+                      observations.independent.ids)
     return DataRecord(
-        request.source, of_features(features), features.crs, control.fit_crs or features.crs,
-        features.heights or height_reference(features.crs) or None, features.noise,
-        features.image_size,
-        Counts(len(control.points), len(observations.check), len(observations.independent),
-               len(control.lines.features), len(observations.off)),
-        IdsByRole(control.ids, observations.off, observations.check.ids,
-                  observations.independent.ids), _read(request, observations),
-        None if request.features.rpc is None else request.features.rpc.numbers())
+        source=request.source, sha256=of_features(features), crs=features.crs,
+        fit_crs=control.fit_crs or features.crs,
+        heights=features.heights or height_reference(features.crs) or None,
+        noise=features.noise, image_size=features.image_size, counts=counts, roles=roles,
+        read=_read(request, observations),
+        rpc=None if features.rpc is None else features.rpc.numbers())
 
 
 def _read(request: Request, observations: Observations) -> WhatWasRead:
@@ -50,8 +52,9 @@ def _read(request: Request, observations: Observations) -> WhatWasRead:
     groups = two_groups(request.features.with_(
         points=points.take([name not in excluded for name in points.ids])))
     lines_in_use = set(request.features.lines.ids)
-    off = [name for name in (*select(points.ids, [role == "off" for role in points.roles]),
-                             *read.lines.features) if name not in lines_in_use]
+    points_off = select(points.ids, [role == "off" for role in points.roles])
+    # Lines have no role: those that are off are not among the features of the request.
+    off = [name for name in (*points_off, *read.lines.features) if name not in lines_in_use]
     control = observations.control
     idle = set(observations.off).difference(off)
     reasons = {"without a height": request.blank,
@@ -62,12 +65,15 @@ def _read(request: Request, observations: Observations) -> WhatWasRead:
            request.features.lines.features}
     lattice = observations.lattice
     return WhatWasRead(
-        len(read.points), len(read.lines.features), len(read.without_height()), place_of(read),
-        swapped(read), {reason: tuple(ids) for reason, ids in reasons.items() if ids}, read.z_unit,
-        difference.sentence() if difference is not None and difference.contradicts else "",
-        "" if groups is None else groups.sentence(), read.image_origin,
-        None if lattice is None else (lattice.lines, lattice.columns),
-        note_on_mixed(read))
+        points=len(read.points), lines=len(read.lines.features),
+        without_height=len(read.without_height()), place=place_of(read), doubt=swapped(read),
+        left_out={reason: tuple(ids) for reason, ids in reasons.items() if ids},
+        z_unit=read.z_unit,
+        height_doubt=difference.sentence() if difference is not None
+        and difference.contradicts else "",
+        two_groups="" if groups is None else groups.sentence(), image_origin=read.image_origin,
+        lattice=None if lattice is None else (lattice.lines, lattice.columns),
+        mixed=note_on_mixed(read))
 
 
 def versions() -> dict[str, str]:
@@ -87,7 +93,7 @@ def plugins_of(request: Request, **replaced: Any) -> dict[str, dict[str, str]]:
     They are by "problem", "model", "solver", "criterion", "then" and "method": ``name`` as
     ``distribution:name``, as a name alone does not identify them, and ``version`` of the
     distribution. Parts of termsel itself are left out. What no plugin provides has the distribution
-    "session" and its ``class``, as "module.Class". `chosen` has the model and the method of the
+    "session" and its ``class``, as "module.Class". `replaced` has the model and the method of the
     strategy "auto".
     """
     components = {"problem": request.recipe, "model": type(request.model),

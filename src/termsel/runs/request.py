@@ -107,8 +107,8 @@ def method_words(model: Any = None, solver: Any = None, criterion: Any = None,
     """Return the words for what is asked for of a method, which "auto" would choose itself."""
     # Plain, or with the part they are of before a dot.
     of_data = {name for option in DATA_OPTIONS for name in (option.name, f"data.{option.name}")}
-    named = [word for word, part in (
-        ("model", model), ("solver", solver), ("criterion", criterion)) if part]
+    named = [role for role, component in (
+        ("model", model), ("solver", solver), ("criterion", criterion)) if component]
     return [*named, *(f"the option {key}" for key in options or () if key not in of_data)]
 
 
@@ -128,19 +128,22 @@ def request_of(
     None is where nothing is said. All is as for `termsel.prepare`.
     """
     names = registry()
-    given = options or {}
+    settings = options or {}
     recipe: Recipe = names.taken("problems", problem)
-    parts = _named_parts(recipe, model, solver, criterion, given)
-    by_parts = _by_parts(recipe, parts, given)
-    model_part = parts["model"]
+    components = _named_parts(recipe, model, solver, criterion, settings)
+    by_parts = _by_parts(recipe, components, settings)
+    model_part = components["model"]
     set_options = tuple(by_parts["model"]) if isinstance(model_part, type) else tuple(
         option.name for option in model_part.declared_options
         if model_part.options[option.name] != option.default)
-    usual = _usual_options(recipe, parts, model, solver, features)
-    made = {word: with_options(word, part, {**usual.get(word, {}), **by_parts[word]})
-            for word, part in parts.items()}
-    of_problem = _of_problem(recipe, by_parts["problem"], made["criterion"], made["solver"])
-    polished = recipe.refined and solver is None and not made["solver"].ends_by_itself
+    usual = _usual_options(recipe, components, model, solver, features)
+    instances = {}
+    for role, component in components.items():
+        instances[role] = with_options(
+            role, component, {**usual.get(role, {}), **by_parts[role]})
+    of_problem = _of_problem(
+        recipe, by_parts["problem"], instances["criterion"], instances["solver"])
+    polished = recipe.refined and solver is None and not instances["solver"].ends_by_itself
     of_search = resolve(SEARCH_OPTIONS, {"polish": polished, **by_parts["search"]})
     of_data = resolve(DATA_OPTIONS, by_parts["data"])
     roles = asked_roles(of_data["off"], of_data["role"])
@@ -152,25 +155,27 @@ def request_of(
         features = loaded(spec)
         source = f"{spec.name} (simulated)" if spec.simulated else spec.name
     in_roles = with_roles(features, roles)
-    blank = to_leave_out(in_roles) if made["model"].uses_height else ()
+    blank = to_leave_out(in_roles) if instances["model"].uses_height else ()
     return Request(
-        recipe, made["model"], made["criterion"], made["solver"], features,
-        with_roles(in_roles, dict.fromkeys(blank, "off")), printable(source or "given in Python"),
-        {"problem": of_problem, "data": of_data, "search": of_search},
-        made.get("then"), set_options, blank,
+        recipe=recipe, model=instances["model"], criterion=instances["criterion"],
+        solver=instances["solver"], read=features,
+        features=with_roles(in_roles, dict.fromkeys(blank, "off")),
+        source=printable(source or "given in Python"),
+        options={"problem": of_problem, "data": of_data, "search": of_search},
+        then=instances.get("then"), set_options=set_options, blank=blank,
         undeclared=tuple(option.name for option in undeclared_options(recipe)
                          if option.name in by_parts["problem"]))
 
 
-def _by_parts(recipe: Recipe, parts: Mapping[str, Any],
-              given: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+def _by_parts(recipe: Recipe, components: Mapping[str, Any],
+              settings: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     """Return the given options by part of the run."""
     declared = {"data": DATA_OPTIONS, "search": SEARCH_OPTIONS,
-                **{word: part.declared_options for word, part in parts.items()}}
+                **{role: component.declared_options for role, component in components.items()}}
     elsewhere = {option.name for options in declared.values() for option in options}
     of_problem = [*recipe.options, *(option for option in undeclared_options(recipe)
                                      if option.name not in elsewhere)]
-    return by_part(given, {"problem": of_problem, **declared})
+    return by_part(settings, {"problem": of_problem, **declared})
 
 
 def problem_for(features: FeatureSet | None, dataset: str | DatasetSpec | None = None) -> str:
@@ -187,31 +192,31 @@ def problem_for(features: FeatureSet | None, dataset: str | DatasetSpec | None =
 
 
 def _named_parts(recipe: Recipe, model: Any, solver: Any, criterion: Any,
-                 given: Mapping[str, Any]) -> dict[str, Any]:
+                 settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return model, criterion and solvers, asked for or the problem's own, by class or instance."""
     names = registry()
     model_part = names.taken("models", recipe.model if model is None else model)
     # Where terms have no influence there is nothing to search.
     usual_solver = "all-terms" if issubclass(class_of(model_part), Interpolating) \
-        else SEVERAL_OBJECTIVES if _several_objectives(recipe, given) else recipe.solver
-    parts = {
+        else SEVERAL_OBJECTIVES if _several_objectives(recipe, settings) else recipe.solver
+    components = {
         "model": model_part,
         "criterion": names.taken("criteria", recipe.criterion if criterion is None else criterion),
         "solver": names.taken("solvers", usual_solver if solver is None else solver)}
-    then = second_solver(recipe, given)
+    then = second_solver(recipe, settings)
     if then is not None:
-        parts["then"] = names.get("solvers", then)
-    return parts
+        components["then"] = names.get("solvers", then)
+    return components
 
 
-def _several_objectives(recipe: Recipe, given: Mapping[str, Any]) -> bool:
+def _several_objectives(recipe: Recipe, settings: Mapping[str, Any]) -> bool:
     """Return whether objectives are asked for that the problem's own solver cannot take."""
-    asked = given.get("objectives", given.get("problem.objectives"))
+    names = settings.get("objectives", settings.get("problem.objectives"))
     solver = registry().get("solvers", recipe.solver)
-    return bool(listed(asked)) and solver.max_objectives == 1
+    return bool(listed(names)) and solver.max_objectives == 1
 
 
-def _usual_options(recipe: Recipe, parts: Mapping[str, Any], model: Any, solver: Any,
+def _usual_options(recipe: Recipe, components: Mapping[str, Any], model: Any, solver: Any,
                    features: FeatureSet | None) -> dict[str, dict[str, Any]]:
     """Return options of the parts that hold unless others are given, by part.
 
@@ -219,7 +224,7 @@ def _usual_options(recipe: Recipe, parts: Mapping[str, Any], model: Any, solver:
     recipe has them, or else, where a solver is named, as its paper does.
     """
     usual: dict[str, dict[str, Any]] = {}
-    model_part = parts["model"]
+    model_part = components["model"]
     rpc = _rpc_option(model_part, features)
     if model in (None, recipe.model):
         # The RPC of a recipe is that of its data set, and of no other points.
@@ -228,11 +233,11 @@ def _usual_options(recipe: Recipe, parts: Mapping[str, Any], model: Any, solver:
         usual["model"] = {**of_recipe, **rpc}
     elif isinstance(model_part, type):
         usual["model"] = rpc
-    for word, is_named in (("solver", solver is not None), ("then", True)):
-        part = parts.get(word)
-        if isinstance(part, type) and issubclass(part, Solver):
-            usual[word] = dict(recipe.solver_options.get(
-                part.name, part.published if is_named else {}))
+    for role, is_named in (("solver", solver is not None), ("then", True)):
+        component = components.get(role)
+        if isinstance(component, type) and issubclass(component, Solver):
+            usual[role] = dict(recipe.solver_options.get(
+                component.name, component.published if is_named else {}))
     return usual
 
 
@@ -246,9 +251,9 @@ def _rpc_option(model: type[SensorModel] | SensorModel,
 
 def split_of(of_data: Mapping[str, Any]) -> Split | None:
     """Return the split that the options of the data name; None for the roles of the file."""
-    asked: str = of_data["roles"]
-    found: Split | None = None if asked == FILE else registry().get("splits", asked)
-    return found
+    name: str = of_data["roles"]
+    split: Split | None = None if name == FILE else registry().get("splits", name)
+    return split
 
 
 def loaded(spec: DatasetSpec) -> FeatureSet:
@@ -259,19 +264,19 @@ def loaded(spec: DatasetSpec) -> FeatureSet:
     return features
 
 
-def require_type(function: Callable[..., Any], name: str, value: Any, wanted: type) -> None:
+def require_type(function: Callable[..., Any], name: str, value: Any, expected: type) -> None:
     """Refuse what a function of a plugin must not return."""
-    what = of_type(value, wanted)
-    if what is not None:
-        raise wrong(function, name, what)
+    fault = of_type(value, expected)
+    if fault is not None:
+        raise wrong(function, name, fault)
 
 
-def _of_problem(recipe: Recipe, given: Mapping[str, Any], criterion: Criterion,
+def _of_problem(recipe: Recipe, settings: Mapping[str, Any], criterion: Criterion,
                 solver: Solver) -> dict[str, Any]:
     """Return the options of a problem, those decided that depend on criterion and solver."""
     undeclared = {option.name: option for option in undeclared_options(recipe)}
     options = resolve([*recipe.options, *(option for name, option in undeclared.items()
-                                          if name in given)], given)
+                                          if name in settings)], settings)
     if solver.max_objectives > 1 and "objectives" in {*options, *undeclared}:
         options["objectives"] = options.get("objectives") or recipe.second
     if "max_share" in options and options["max_share"] is None:
@@ -283,12 +288,12 @@ def _of_problem(recipe: Recipe, given: Mapping[str, Any], criterion: Criterion,
     return options
 
 
-def _rule(asked: str | None, criterion: Criterion, solver: Solver) -> str:
+def _rule(name: str | None, criterion: Criterion, solver: Solver) -> str:
     """Return the rule by which a member of a front is recommended."""
-    if asked == "one-standard-error" and not criterion.is_rmse:
+    if name == "one-standard-error" and not criterion.is_rmse:
         raise TermselError(f"criterion {criterion.name!r} is no RMSE, so it has no standard error "
                            "to recommend a selection by",
                            hint="Choose --set recommend=knee or best, or --criterion check-rmse, "
                                 "press or kfold, these with loss=squares.")
-    return asked or ("one-standard-error" if solver.max_objectives > 1 and criterion.is_rmse
+    return name or ("one-standard-error" if solver.max_objectives > 1 and criterion.is_rmse
                      else "best")

@@ -134,17 +134,18 @@ def run(
     True
     """
     features, source = given_features(features, source, crs, columns, rpc)
-    asked: dict[str, Any] = {"dataset": dataset, "source": source, "model": model, "solver": solver,
-             "criterion": criterion, "options": options}
+    arguments: dict[str, Any] = {
+        "dataset": dataset, "source": source, "model": model, "solver": solver,
+        "criterion": criterion, "options": options}
     limits = {"generations": generations, "evaluations": evaluations, "seconds": seconds,
               "patience": patience}
     is_limited = any(limit is not None for limit in limits.values())
     notebook = notebook_observer(
         problem.recipe.name if isinstance(problem, Task) else str(problem or "auto"))
     observers = (*observers, *filter(None, [notebook]), *registry().observers())
-    alone: Auto | TaskMethod | None = None
+    sole_method: Auto | TaskMethod | None = None
     if isinstance(problem, Task):
-        _refuse_named({"features": features, **asked})
+        _refuse_named({"features": features, **arguments})
         task = problem
     else:
         named = problem_for(features, dataset) if problem is None else problem
@@ -158,13 +159,13 @@ def run(
             of_data = {"features": features, "dataset": dataset, "source": source,
                        "options": options}
             if isinstance(method, TaskMethod):
-                alone = method
+                sole_method = method
                 task = prepared(request_of(named, **of_data))
             else:
-                alone = auto_of(method, memory)
-                task = task_of_method(request_of_method(named, model=model, **of_data), alone)
+                sole_method = auto_of(method, memory)
+                task = task_of_method(request_of_method(named, model=model, **of_data), sole_method)
         else:
-            task = prepared(request_of(named, features=features, **asked))
+            task = prepared(request_of(named, features=features, **arguments))
             _warn_of_search(task, words, is_in_place_of_auto=strategy is None and problem is None)
     if not is_limited:
         limits |= {"generations": task.recipe.generations, "patience": task.recipe.patience}
@@ -177,8 +178,8 @@ def run(
     def result_of_run() -> Result:
         from termsel.runs.assess import assess
 
-        if alone is not None:
-            return assess(alone, task, seed=seed, observers=observers, memory=memory)
+        if sole_method is not None:
+            return assess(sole_method, task, seed=seed, observers=observers, memory=memory)
         from termsel.runs.searching import Search  # not for auto
 
         kept = None if checkpoint is None else Checkpoint(checkpoint)
@@ -186,7 +187,7 @@ def run(
                                    "checkpoint": kept})
         return assess(searching, task, memory=memory)
 
-    return _written(result_of_run, out, overwrite, _seconds_of_compilation(task, alone))
+    return _written(result_of_run, out, overwrite, _seconds_of_compilation(task, sole_method))
 
 
 def _warn_of_search(task: Task, words: Sequence[str], *, is_in_place_of_auto: bool) -> None:
@@ -200,18 +201,18 @@ def _warn_of_search(task: Task, words: Sequence[str], *, is_in_place_of_auto: bo
                     "criterion out to have it corrected.", task.model.name)
 
 
-def _seconds_of_compilation(task: Task, alone: Method | None) -> int:
+def _seconds_of_compilation(task: Task, sole_method: Method | None) -> int:
     """Return how many seconds longer a run takes as it compiles, if it does."""
-    if not isinstance(alone, Auto):
+    if not isinstance(sole_method, Auto):
         return SEARCH_COMPILES if kernels.needs_compilation() else 0
     # Whether a search of lines follows, which compiles more, is not known yet.
     points = len(task.observations.together.points)
     return AUTO_COMPILES if held_out.needs_compilation(points) else 0
 
 
-def _refuse_named(asked: Mapping[str, Any]) -> None:
+def _refuse_named(arguments: Mapping[str, Any]) -> None:
     """Refuse what is asked for next to a task that has been prepared."""
-    named = sorted(word for word, value in asked.items() if value is not None)
+    named = sorted(name for name, value in arguments.items() if value is not None)
     if named:
         raise TermselError(f"a prepared task takes no {', '.join(named)}",
                            hint="Give them to termsel.prepare.")

@@ -172,7 +172,7 @@ class GivenGenes(TaskMethod):
             evaluations=1, generations=0, lookups=0, seconds=0.0, interrupted=False,
             notes=("The genes were given to termsel.assess; how they were found is not recorded.",))
         finding = finding_of(task, search, Auto(memory=memory))
-        plugins = {part: plugin for part, plugin in finding.plugins.items() if part != "solver"}
+        plugins = {role: plugin for role, plugin in finding.plugins.items() if role != "solver"}
         return task.request, replace(
             finding, solver=GIVEN, options={**finding.options, "solver": {}}, plugins=plugins)
 
@@ -207,13 +207,14 @@ def finding_of(task: Task, search: SearchResult, auto: Auto,
     members = {genes.tobytes(): _member(task, genes)
                for genes in (*search.front, *(size.genes for size in sizes))}
 
-    def baselines(seen: Observations) -> tuple[Baseline, ...]:
-        return (baseline("all-terms", all_terms, None, seen, ("control",)),
-                *comparison.baselines(seen))
+    def baselines(in_roles: Observations) -> tuple[Baseline, ...]:
+        return (baseline("all-terms", all_terms, None, in_roles, ("control",)),
+                *comparison.baselines(in_roles))
 
     def judgement(rmse: Rmses, rivals: tuple[Baseline, ...]) -> str:
-        return judge(conventional, task.criterion.name, rmse, rivals, comparison.reference,
-                     feasible, task.features.noise, converged=fitted.adjustment.converged,
+        return judge(conventional, task.criterion.name, rmse, rivals,
+                     reference=comparison.reference, feasible=feasible,
+                     noise=task.features.noise, converged=fitted.adjustment.converged,
                      method=comparison.method, blunders=comparison.blunders)
 
     notes = (*notes_on_dem(task.features, fitted),
@@ -262,10 +263,10 @@ def _files(task: Task, search: SearchResult, observations: Observations) -> dict
 def _on_replaced(model: SensorModel, selection: Selection) -> Iterable[str]:
     """Yield which options of the model have other values than those they were given."""
     for option in model.declared_options:
-        asked = model.options[option.name]
+        stated = model.options[option.name]
         name = option.name
-        if asked not in (option.default, selection.parameters.get(name, asked)):
-            yield (f"Option {name} of the model was {asked}; the problem chose "
+        if stated not in (option.default, selection.parameters.get(name, stated)):
+            yield (f"Option {name} of the model was {stated}; the problem chose "
                    f"{selection.parameters[name]} in its place.")
 
 
@@ -344,10 +345,10 @@ def fit_of(task: Task, selection: Selection) -> Fit:
     return least_squares_of(model, control, task.scaling, terms, used, task.observations.check)
 
 
-def _mask(task: Task, names: tuple[str, ...], fitted: Iterable[str], what: str) -> BoolArray:
+def _mask(task: Task, names: tuple[str, ...], fitted: Iterable[str], kind: str) -> BoolArray:
     """Return which names a problem's `decode` gives; refuse one that there is not."""
-    wanted = set(fitted)
-    if not wanted <= set(names):
-        known = unknown_name(what, min(wanted - set(names)), names)
-        raise wrong(task.problem, "decode", f"names an {known.what}", f"{known.hint} {HINT}")
-    return np.array([name in wanted for name in names], dtype=bool)
+    names_fitted = set(fitted)
+    if not names_fitted <= set(names):
+        error = unknown_name(kind, min(names_fitted - set(names)), names)
+        raise wrong(task.problem, "decode", f"names an {error.what}", f"{error.hint} {HINT}")
+    return np.array([name in names_fitted for name in names], dtype=bool)

@@ -51,22 +51,22 @@ def search_in_steps(task: Task, **how: Any) -> SearchResult:
     first = search(beginning, task.solver, **options, **{**how, **{
         name: value / 2 if name == "seconds" else max(value // 2, 1)
         for name, value in budget.items()}})
-    word = order.split("-")[0]
+    step = order.split("-")[0]
     if first.violation:
         raise TermselError(
-            f"no selection of {word} with everything else in use satisfies all conditions",
+            f"no selection of {step} with everything else in use satisfies all conditions",
             hint="Choose --set steps=joint or the other order, or lower the order or degree of "
                  "the model.")
     if first.stopped:
         return first
     solver = task.then or task.solver
-    chosen = beginning.genome.chosen(first.genes[None])[0]
-    second = search(problem.frozen(chosen, ~later), solver, **options, **{**how, **{
+    first_genes = beginning.genome.chosen(first.genes[None])[0]
+    second = search(problem.frozen(first_genes, ~later), solver, **options, **{**how, **{
         name: max(value - getattr(first, name), _LEAST if name == "seconds" else 1)
         for name, value in budget.items()}})
-    by = [f" by {each.name}" if task.then else "" for each in (task.solver, solver)]
-    note = (f"In two steps: {word} first{by[0]}, {problem.objectives[0]} "
-            f"{first.objectives[0]:.4g} with {int(chosen[~later].sum())} of "
+    by = [f" by {name}" if task.then else "" for name in (task.solver.name, solver.name)]
+    note = (f"In two steps: {step} first{by[0]}, {problem.objectives[0]} "
+            f"{first.objectives[0]:.4g} with {int(first_genes[~later].sum())} of "
             f"{int((~later).sum())} and everything else in use; then the rest{by[1]}, "
             f"{second.objectives[0]:.4g}.")
     return second.after(first, note)
@@ -81,9 +81,9 @@ _LEAST = 1e-3
 
 def _budget(task: Task, how: dict[str, Any]) -> dict[str, float]:
     """Return the budget of both steps together: that given, or else that of every search."""
-    given = {name: how[name] for name in _LIMITS if how.get(name) is not None}
-    if given or how.get("patience") is not None or task.solver.ends_by_itself:
-        return given
+    limits = {name: how[name] for name in _LIMITS if how.get(name) is not None}
+    if limits or how.get("patience") is not None or task.solver.ends_by_itself:
+        return limits
     return {"evaluations": EVALUATIONS * (
         1 + POLISH_SHARE if task.options["search"]["polish"] else 1)}
 

@@ -120,9 +120,10 @@ class Task(Glance):
                 FitData(control, self.scaling, False))):
             options |= without_heights(self.model.terms, options)
         return ProblemData(
-            self.model, self.scaling.features(control),
-            self.scaling.points(self.observations.check), self.scaling.image_scale,
-            self.criterion, options, objectives_of(options.get("objectives"), self.criterion))
+            model=self.model, control=self.scaling.features(control),
+            check=self.scaling.points(self.observations.check), pixels=self.scaling.image_scale,
+            criterion=self.criterion, options=options,
+            objectives=objectives_of(options.get("objectives"), self.criterion))
 
     @cached_property
     def problem(self) -> Problem:
@@ -143,7 +144,7 @@ class Task(Glance):
         return {**self.request.options, "problem": self.inputs.options, "data": data}
 
     def _glance(self) -> tuple[str, Mapping[str, str]]:
-        method = ", ".join(part.name for part in (self.model, self.solver, self.criterion))
+        method = f"{self.model.name}, {self.solver.name}, {self.criterion.name}"
         return f"Task: {self.recipe.name}", {"method": method, "data": self.request.source}
 
 
@@ -229,7 +230,7 @@ def checked(task: Task) -> Task:
     return task
 
 
-def observe(request: Request, least: int = MIN_CONTROL) -> Observations:
+def observe(request: Request, fewest: int = MIN_CONTROL) -> Observations:
     """Return the features, each in its role, in the CRS of the fit; at least so many are control.
     """
     request = with_shares(request)
@@ -244,10 +245,10 @@ def observe(request: Request, least: int = MIN_CONTROL) -> Observations:
         rng=np.random.default_rng(of_data["split"]))
     if _check_as(request, observations) == "control":
         observations = check_as_control(observations)
-    together = observations.together
-    require_heights(request.model, together.with_(
-        points=together.points.rejoin(observations.independent)))
-    require_enough(observations, recipe, criterion, request.model, least)
+    features = observations.together
+    require_heights(request.model, features.with_(
+        points=features.points.rejoin(observations.independent)))
+    require_enough(observations, recipe, criterion, request.model, fewest)
     if of_data["fit_crs"] is not None:
         observations = with_fit_crs(of_data["fit_crs"], observations, request.model)
     return observations

@@ -36,21 +36,21 @@ def search_without_blunders(task: Task, auto: Auto, verdict: Verdict | None = No
 
     The task that was searched is returned, and the search with its recommended member selected.
     """
-    less: Task | None = task
+    remaining: Task | None = task
     if task.options["problem"].get("blunders") == "leave-out":
         verdict = verdict or judge_features(
             task.observations, auto, task.options["data"]["tested"])
-        less = _without(task, verdict.blunders)
-    if less is not None:
-        found = recommended(less, search_in_steps(less, **how))
-        if less is task:
-            return task, found
+        remaining = _without(task, verdict.blunders)
+    if remaining is not None:
+        searched = recommended(remaining, search_in_steps(remaining, **how))
+        if remaining is task:
+            return task, searched
         # A second search would have no time.
-        if not found.violation or found.stopped or how.get("seconds") is not None:
-            return less, replace(found, notes=(*found.notes, (
+        if not searched.violation or searched.stopped or how.get("seconds") is not None:
+            return remaining, replace(searched, notes=(*searched.notes, (
                 "Outliers were removed before the search; --set blunders=keep keeps them.")))
-    found = recommended(task, search_in_steps(task, **how))
-    return task, replace(found, notes=(*found.notes, (
+    searched = recommended(task, search_in_steps(task, **how))
+    return task, replace(searched, notes=(*searched.notes, (
         "Blunders are in use: without them no selection satisfies all conditions.")))
 
 
@@ -65,10 +65,10 @@ def _without(task: Task, blunders: frozenset[str]) -> Task | None:
         return task
     # A problem may select among some of the control.
     names = problem.inputs.control.ids
-    where = problem.genome.label_slices()[FEATURES]
-    forced = select(names, problem.genome.on[where] | problem.genome.off[where])
-    out = blunders.difference(forced)
-    points = out.intersection(observations.together.points.ids)
+    of_features = problem.genome.label_slices()[FEATURES]
+    forced = select(names, problem.genome.on[of_features] | problem.genome.off[of_features])
+    left_out = blunders.difference(forced)
+    points = left_out.intersection(observations.together.points.ids)
     if points:
         fewer = leave_out(observations, points)
         try:
@@ -79,14 +79,14 @@ def _without(task: Task, blunders: frozenset[str]) -> Task | None:
         problem = task.problem
         assert isinstance(problem, SelectionProblem)
         names = problem.inputs.control.ids
-        where = problem.genome.label_slices()[FEATURES]
-    gone = np.isin(names, list(out - points))
-    if not gone.any():
+        of_features = problem.genome.label_slices()[FEATURES]
+    is_out = np.isin(names, list(left_out - points))
+    if not is_out.any():
         return task
     segment = problem.genome.segments[-1]
     assert isinstance(segment, Bits | Subset)  # the features
-    if (~gone & ~problem.genome.off[where]).sum() < segment.minimum:
+    if (~is_out & ~problem.genome.off[of_features]).sum() < segment.minimum:
         return None
-    which = np.zeros(len(problem.genome.labels), dtype=bool)
-    which[where] = gone
-    return replace(task, narrowed=problem.frozen(np.zeros_like(which), which))
+    forbidden = np.zeros(len(problem.genome.labels), dtype=bool)
+    forbidden[of_features] = is_out
+    return replace(task, narrowed=problem.frozen(np.zeros_like(forbidden), forbidden))
