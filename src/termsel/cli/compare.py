@@ -80,7 +80,7 @@ from termsel.core.options import MOST_RUNS
 @progress_option
 @remote_option
 def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: str | None,
-            dry_run: bool, status: Path | None, quiet: bool, **given: Any) -> None:
+            dry_run: bool, status: Path | None, quiet: bool, **options: Any) -> None:
     """Compare problems, models and solvers over many seeds, or run many images.
 
     A study file or the options say what is combined. Every combination is a cell, and every
@@ -98,7 +98,7 @@ def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: 
     if status is not None:
         _show_status(status)
         return
-    study, keys = _asked(files, given)
+    study, keys = _asked(files, options)
     if dry_run:
         _show_plan(study, keys, workers)
         return

@@ -43,8 +43,10 @@ def describe(name: str) -> None:
     names = registry()
     entries = names.find(name)
     if not entries:
-        known = [known for kind in KINDS for known in names.names(kind)]
-        raise unknown_name("name", name, known, names.hint(name, *KINDS))
+        known_names = []
+        for kind in KINDS:
+            known_names += names.names(kind)
+        raise unknown_name("name", name, known_names, names.hint(name, *KINDS))
     for i, (kind, entry) in enumerate(entries):
         if i:
             echo()

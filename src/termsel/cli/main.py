@@ -83,8 +83,8 @@ class Commands(click.Group):
         if command is None and not ctx.resilient_parsing:
             from termsel.plugins.registry import registry
 
-            known = [*COMMANDS, *registry().names("commands")]
-            raise unknown_name("command", args[0], known, registry().hint(args[0], "commands"))
+            names = [*COMMANDS, *registry().names("commands")]
+            raise unknown_name("command", args[0], names, registry().hint(args[0], "commands"))
         if command is not None and not ctx.resilient_parsing:
             _refuse_repeated(command, args[1:])
         return args[0], command, args[1:]
@@ -186,10 +186,10 @@ def _suggested(words: Sequence[str], error: TermselError) -> Iterator[str]:
 
 def _without(words: Sequence[str], options: Mapping[str, str]) -> Iterator[str]:
     """Yield words without some options and their values."""
-    given = iter(words)
-    for word in given:
+    remaining = iter(words)
+    for word in remaining:
         if word in options:
-            next(given, None)
+            next(remaining, None)
         elif word.partition("=")[0] not in options:
             yield word
 
@@ -258,8 +258,8 @@ def _blaming(command: click.Command) -> click.Command:
             from termsel.core.isolation.faults import distribution_of, failed, package_of
 
             package = package_of(command.callback)
-            what = f"the command {command.name!r} of {distribution_of(package)} failed"
-            raise failed(error, what, package) from error
+            failure = f"the command {command.name!r} of {distribution_of(package)} failed"
+            raise failed(error, failure, package) from error
 
     command.invoke = blaming  # type: ignore[method-assign]
     return command

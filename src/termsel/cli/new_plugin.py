@@ -59,7 +59,7 @@ def new_plugin(name: str, kind: str, parent: Path) -> None:
       pip install ./termsel-demo
       termsel describe demo
     """
-    texts = package(name, *(one.strip() for one in kind.split(",")))
+    texts = package(name, *(kind_name.strip() for kind_name in kind.split(",")))
     folder = parent / name
     if not parent.is_dir():
         raise TermselError("this folder does not exist", file=parent, hint="Make it first.")
@@ -74,8 +74,9 @@ def new_plugin(name: str, kind: str, parent: Path) -> None:
     except OSError as error:
         raise TermselError(f"cannot write: {error.strerror}", file=folder) from error
     say_written(folder / file for file in texts)
-    place = folder if folder.is_absolute() else f"./{folder}"  # without it, pip asks an index
-    echo(f"Install it: {Path(sys.executable).name} -m pip install {place}\n"
+    # Without the dot pip asks an index.
+    shown_folder = folder if folder.is_absolute() else f"./{folder}"
+    echo(f"Install it: {Path(sys.executable).name} -m pip install {shown_folder}\n"
          f"Test it:    cd {folder}; {Path(sys.executable).name} -m unittest discover tests")
 
 
@@ -90,12 +91,12 @@ def package(name: str, *kinds: str) -> dict[str, str]:
     if len(set(kinds)) < len(kinds):
         raise TermselError(f"--kind {','.join(kinds)} names a kind twice", hint="Name each once.")
     module = re.sub(r"[-_.]+", "_", name).lower()
-    thing = re.sub(r"[-_.]+", "-", name).lower().removeprefix("termsel-")
-    alone = len(kinds) == 1
-    modules = {kind: module if alone else f"{module}_{kind}" for kind in kinds}
-    names = {kind: thing if alone else f"{thing}-{kind}" for kind in kinds}
+    plugin_name = re.sub(r"[-_.]+", "-", name).lower().removeprefix("termsel-")
+    has_one_kind = len(kinds) == 1
+    modules = {kind: module if has_one_kind else f"{module}_{kind}" for kind in kinds}
+    names = {kind: plugin_name if has_one_kind else f"{plugin_name}-{kind}" for kind in kinds}
     for kind in kinds:
-        _require_free(name, module, thing, kind, modules[kind], names[kind])
+        _require_free(name, module, plugin_name, kind, modules[kind], names[kind])
     titles = {kind: f"{_word(kind)} {names[kind]}" for kind in kinds}
     words = {
         "DISTRIBUTION": name, "BOUND": plugin_bound(),
@@ -103,16 +104,16 @@ def package(name: str, *kinds: str) -> dict[str, str]:
         "POINTS": "".join(f'{names[kind]} = "{modules[kind]}"\n' for kind in kinds),
         "DESCRIBED": "\n".join(f"termsel describe {names[kind]}" for kind in kinds),
         "USE": "\n\n".join(_USE[kind].format(name=names[kind]) for kind in kinds)}
-    found = {file: _filled(file, words) for file in ("pyproject.toml", "build_wheel.py",
+    package_files = {file: _filled(file, words) for file in ("pyproject.toml", "build_wheel.py",
                                                      "README.md")}
     for kind in kinds:
-        own = {**words, "MODULE": modules[kind], "NAME": names[kind],
+        words_of_kind = {**words, "MODULE": modules[kind], "NAME": names[kind],
                "TITLE": f"The {titles[kind]}",
-               "CLASS": "".join(part.capitalize() for part in names[kind].split("-"))}
-        found[f"{modules[kind]}.py"] = _filled(f"{kind}.py", own)
+               "CLASS": "".join(syllable.capitalize() for syllable in names[kind].split("-"))}
+        package_files[f"{modules[kind]}.py"] = _filled(f"{kind}.py", words_of_kind)
         file = f"test_{modules[kind]}.py"
-        found[f"tests/{file}"] = _filled(f"{kind}_test.py", own)
-    return found
+        package_files[f"tests/{file}"] = _filled(f"{kind}_test.py", words_of_kind)
+    return package_files
 
 
 def _word(kind: str) -> str:
@@ -124,7 +125,8 @@ def _filled(source: str, words: dict[str, str]) -> str:
     return re.sub(r"@([A-Z]+)@", lambda mark: words[mark[1]], text)
 
 
-def _require_free(name: str, package: str, bare: str, kind: str, module: str, thing: str) -> None:
+def _require_free(name: str, package: str, bare: str, kind: str, module: str,
+                  plugin_name: str) -> None:
     if not _NAME.fullmatch(name) or keyword.iskeyword(package) or not bare:
         near = "-".join(re.findall(r"[A-Za-z0-9]+", name)).lstrip("-0123456789")
         near = near if near and not keyword.iskeyword(near) else "termsel-demo"
@@ -141,7 +143,7 @@ def _require_free(name: str, package: str, bare: str, kind: str, module: str, th
     from termsel.plugins.registry import Registry
 
     plural = next((key for key, value in REGISTERED.items() if value.word == _word(kind)), None)
-    taken = COMMANDS if plural is None else Registry([]).names(plural)
-    if thing in taken:
-        raise TermselError(f"termsel has a {_word(kind)} {thing!r} itself",
+    names_in_use = COMMANDS if plural is None else Registry([]).names(plural)
+    if plugin_name in names_in_use:
+        raise TermselError(f"termsel has a {_word(kind)} {plugin_name!r} itself",
                            hint="Choose another name.")

@@ -47,8 +47,8 @@ def report(folder: Path, output: Path | None, image: str | None, overwrite: bool
     from termsel.studies.cells.images import IMAGES
     from termsel.studies.outputs import page as study_page
 
-    own = [folder / PLAN, folder / JOURNAL, *(folder / IMAGES).glob("*")]  # of a study
-    require_replaceable([output], reads=[folder, image, *own], overwrite=overwrite)
+    study_files = [folder / PLAN, folder / JOURNAL, *(folder / IMAGES).glob("*")]  # of a study
+    require_replaceable([output], reads=[folder, image, *study_files], overwrite=overwrite)
     if (folder / PLAN).is_file():
         if image is not None:
             raise TermselError("--image is for the page of one result, and this is a study",

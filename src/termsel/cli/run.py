@@ -26,7 +26,7 @@ from termsel.core.interrupts import INTERRUPTED
                    "after a stop, to the same end.")
 @click.option("--verbose", is_flag=True,
               help="Print all of the summary, as in summary.txt: every table, term and proof.")
-def run(verbose: bool, checkpoint: Path | None, files: tuple[Path, ...], **given: Any) -> None:
+def run(verbose: bool, checkpoint: Path | None, files: tuple[Path, ...], **arguments: Any) -> None:
     """Fit a model to control points or lines, and report its accuracy.
 
     FILES are points, lines, the image and the RPC, told apart by their names. Independent check
@@ -39,16 +39,16 @@ def run(verbose: bool, checkpoint: Path | None, files: tuple[Path, ...], **given
       termsel run --points gcp.csv --rpc vendor.RPB --out result
       termsel run --problem owdis-lines --points points.csv --lines roads.csv
     """
-    settings = RunOptions(**with_files(files, given))
+    settings = RunOptions(**with_files(files, arguments))
     show_messages()
 
     from termsel.io.replacing import require_replaceable
     from termsel.io.result_folder import RECORD, files_of_result, names_of
     from termsel.runs import run as running
 
-    out = settings.out
-    if out is not None:
-        require_replaceable(files_of_result(out), reads=settings.reads, overwrite=True,
+    folder = settings.out
+    if folder is not None:
+        require_replaceable(files_of_result(folder), reads=settings.reads, overwrite=True,
                             makes_folder=True)
     # A name that is not known is said before a long search.
     exported = settings.exported()
@@ -62,18 +62,18 @@ def run(verbose: bool, checkpoint: Path | None, files: tuple[Path, ...], **given
             model=settings.model,
             solver=settings.solver, criterion=settings.criterion, options=options,
             **settings.budget,
-            observers=[observe] if observe else [], out=out, overwrite=settings.overwrite,
+            observers=[observe] if observe else [], out=folder, overwrite=settings.overwrite,
             checkpoint=checkpoint)
     echo(result.to_json() if settings.as_json else result.summary(verbose=verbose), nl=False)
-    if out is not None:
+    if folder is not None:
         settings.write(result, exported, page)
     if not settings.as_json:
-        saved = f"Saved     {out}{os.sep}    " if out is not None else ""
-        echo(f"{saved}{result.next_step(out or '')}")
-    elif out is not None:
-        say_written([f"{out}/{RECORD}", *names_of(result.features)[1:]])
+        saved = f"Saved     {folder}{os.sep}    " if folder is not None else ""
+        echo(f"{saved}{result.next_step(folder or '')}")
+    elif folder is not None:
+        say_written([f"{folder}/{RECORD}", *names_of(result.features)[1:]])
     if result.interrupted:
         then = "repeats the whole run" if checkpoint is None else f"goes on from {checkpoint}"
         echo("Interrupted: this is the best so far. The same command"
-             f"{' with --overwrite' if out else ''} {then}.", err=True)
+             f"{' with --overwrite' if folder else ''} {then}.", err=True)
         sys.exit(INTERRUPTED)

@@ -39,8 +39,8 @@ def _draw(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
 def json_text(value: Any) -> str:
     """Return a value as JSON with a line end, in ASCII where it has what no terminal may get."""
     text = json.dumps(value, indent=2, ensure_ascii=False)
-    shown = printable(text) == text
-    return (text if shown else json.dumps(value, indent=2)) + "\n"
+    is_printable = printable(text) == text
+    return (text if is_printable else json.dumps(value, indent=2)) + "\n"
 
 
 def print_json(value: Any) -> None:

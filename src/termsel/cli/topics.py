@@ -44,9 +44,9 @@ class ByTopic(click.Command):
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
         """Return the parameters, with the option that shows all of them."""
-        every = click.Option(["--help-all"], is_flag=True, is_eager=True, expose_value=False,
+        help_all = click.Option(["--help-all"], is_flag=True, is_eager=True, expose_value=False,
                              callback=_show_all, help="Show all options and exit.")
-        return [*super().get_params(ctx), every]
+        return [*super().get_params(ctx), help_all]
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the main options by topic, or all where that is asked for."""
@@ -68,8 +68,8 @@ _EVERY = "termsel.help-all"
 """Where a context keeps that all options are asked for."""
 
 
-def _show_all(context: click.Context, _: click.Parameter, asked: bool) -> None:
-    if asked and not context.resilient_parsing:
+def _show_all(context: click.Context, _: click.Parameter, is_asked_for: bool) -> None:
+    if is_asked_for and not context.resilient_parsing:
         context.meta[_EVERY] = True
         echo(context.get_help())
         context.exit()

@@ -62,6 +62,7 @@ def assess(method: Method, task: Task, *, seed: int = 1, observers: Iterable[Obs
     memory = memory or Memory()
     if isinstance(method, TaskMethod):
         return result_of(*method.find(task, memory))
+    # One method is a choice among one: held out, compared and reported alike.
     auto = method if isinstance(method, Auto) else \
         Auto(methods=(method,), memory=memory)
     return result_of(task.request, choose_for(

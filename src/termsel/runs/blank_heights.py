@@ -22,6 +22,7 @@ def to_leave_out(features: FeatureSet) -> tuple[str, ...]:
     missing = [name for name in features.without_height() if name not in off]
     if not missing:
         return ()
+    # What remains must tell what a height does, or leaving others out gains nothing.
     with_heights = features.take(~np.isin(features.ids, [*missing, *off]))
     # Independent points must not decide what is fitted.
     deciding = with_heights.with_(points=with_heights.points.take(

@@ -134,17 +134,20 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
     start = time.perf_counter()
     watch = _Watch(observers, len(auto.offered(observations.pool)),
                    folds_of(observations.pool.features))
+    # 1. Blunders, and points whose height alone is off a plane, take no part in the choice.
     watch.tell("blunders")
     verdict = judge_features(observations, auto, request.options["data"]["tested"])
     blunders = verdict.blunders | verdict.high
     clean = leave_out(observations, blunders) if blunders else observations
     data = clean.pool
+    # 2. The choice, and its repetition without some features.
     outcome = _choose(clean, auto, watch, seed)
     choice = outcome.choice
     method = choice.method
     # A method that is asked for is held against those that are built in.
     comparison = compare(clean, Auto(memory=auto.memory)) if auto.is_one_method \
         else compare(clean, auto, choice)
+    # 3. What the errors held out predict of new points: the RMSE with its interval.
     errors = outcome.errors
     if errors is not None and not len(choice.chosen.control.lines):
         # What lines were predicted to be says nothing.
@@ -153,9 +156,12 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
     if errors is not None and clean.lattice is None:
         predicted = predicted_by(choice.chosen, errors, len(observations.independent),
                                  observations.independent.ground)
+    # 4. The fit in the roles that the points play, and the verdict on independent points. No
+    # choice is made from here on.
     played = with_lines(clean, observations.control.lines)
     fitted = in_role(choice.chosen, played)
     contradicting, agreeing = judge_independent(clean, choice, auto)
+    # 5. The same structure with independent points, for export; its figures are of the former.
     final = _final_fit(choice.chosen, played.features.points, data.heights, auto,
                        contradicting.blunders)
     predicted_final = None if final is None or predicted is None else predicted_of_all(
@@ -186,6 +192,7 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
                 has_geometry=method.from_one),
         *([] if lattice is None else [lattice.sentence(known=method.from_one)]),
         *_high(verdict), *verdict.notes, *_lines(fitted), *contradicting.notes, *auto.notes)
+    # The objective of the record is what the rule of the choice compares.
     rmse = choice.chosen.held_out_rmse
     return Finding(
         fit=fitted, observations=played, compared=clean, comparison=comparison, verdict=verdict,
@@ -218,6 +225,7 @@ def _choose(clean: Observations, auto: Auto, watch: _Watch, seed: int) -> _Chose
                 hint="Measure more.")
         choice = auto.choose_features(data, watch.method) if is_enough else exact(data)
         if choice and is_enough and len(features) > EXACT:
+            # An oblique view that the points determine exactly has no errors to be chosen by.
             view = exact_view(data, choice, auto)
             is_enough = view is choice
             choice = view
@@ -232,6 +240,8 @@ def _choose(clean: Observations, auto: Auto, watch: _Watch, seed: int) -> _Chose
             choice, errors = with_selected_lines(data, choice, auto, seed)
         lattice = clean.lattice
         if lattice is not None:
+            # Points of a lattice are computed: their errors tell of the model between its lines,
+            # which neighbours left out in turn show; chance errors they have none.
             between = None if choice.method.from_one else auto.between_lines(
                 data, lattice, watch.method, choice)
             if between is not None:
@@ -240,6 +250,7 @@ def _choose(clean: Observations, auto: Auto, watch: _Watch, seed: int) -> _Chose
             errors = auto.repeated(data, watch.method, choice)
         return _Chosen(choice, errors, not is_enough)
     except KeyboardInterrupt:
+        # Of a choice that was cut short the best method so far is the result.
         best = choice or auto.best_of(watch.fits)
         if best is None:
             raise
@@ -268,6 +279,7 @@ def _strategy(choice: Choice, errors: FloatArray | None, predicted: Predicted | 
     """Return what the record says of a choice."""
     held_out = None
     if errors is not None:
+        # Between the lines of a lattice the predicted figure is that of the interval's middle.
         held_out = predicted.rmse if clean.lattice is not None and predicted is not None \
             else float(np.sqrt((errors**2).sum(axis=1).mean()))
     candidates = tuple(
@@ -291,6 +303,7 @@ def _final_fit(fitted: Fit, points: Points, heights: bool, auto: Auto,
     control = fitted.control
     further = points.take([role in ASSIGNABLE and name not in blunders
                            for name, role in zip(points.ids, points.roles, strict=True)])
+    # Twins count once, as in the choice.
     features = merged(control.with_(points=further))
     # A plane model must not be fitted to points whose heights do tell.
     with_height = features.take(~np.isin(features.ids, features.without_height()))
@@ -302,6 +315,7 @@ def _final_fit(fitted: Fit, points: Points, heights: bool, auto: Auto,
 
 
 def _high(verdict: Verdict) -> list[str]:
+    # Heights off a plane are no blunders: a model with heights would use them.
     high = [f"{outlier.id} ({outlier.error:.3g} px)" for outlier in verdict.outliers
             if outlier.id in verdict.high]
     if not high:
@@ -332,6 +346,7 @@ def _unused_rpc(data: FitData, auto: Auto, fitted: Fit | None = None) -> str:
     """Return why an RPC that is given is not used; "" where a note says which method failed."""
     if data.features.rpc is None:
         return ""
+    # Methods that correct an RPC are those that one point is enough for.
     able = [method for method in auto.methods if method.from_one and len(data) <= method.most]
     reasons = list(filter(None, (auto.ask(method, "declines", data) for method in able)))
     if fitted is not None and auto.fewest(data) == 1:

@@ -53,6 +53,7 @@ def notes_on_data(read: FeatureSet, observations: Observations, heights: bool,
                "one side they go on beyond 180 degrees.")
     features = observations.together
     independent = observations.independent
+    # In the order in which a reader would act: datum, repeated points, geometry, heights.
     yield from _on_two_groups(features)
     yield from _on_twins(features.points, independent)
     yield from _on_one_line(features)
@@ -76,6 +77,7 @@ def _on_two_groups(features: FeatureSet) -> Iterator[str]:
         return
     datum = ""
     if is_in_degrees(features.crs) and body_of(features.crs) == EARTH:
+        # The shift between two datums depends on the place.
         lon, lat = features.points.ground[:, :2].mean(axis=0).tolist()
         datum = datum_of(groups, features.crs, (lon, lat))
     likely = f" Coordinates in {datum} are as far off there." if datum else ""
@@ -102,8 +104,10 @@ def _in_plan(features: FeatureSet) -> FloatArray:
 
 def _is_narrow(positions: FloatArray) -> bool:
     """Return whether three or more places lie on a line, and not all at one place."""
+    # Two points are always on a line, which says nothing.
     if len(positions) <= 2:
         return False
+    # Singular values of centred places: the extents along and across the line.
     length, width, *_ = np.linalg.svd(positions - positions.mean(axis=0), compute_uv=False)
     return bool(length > 0.0 and width <= NARROW * length)
 
@@ -122,6 +126,7 @@ def _on_flat(control: FitData, points: Points) -> Iterator[str]:
     """Yield that heights tell nothing, and what they may do at other points."""
     vertices = control.features.ground_vertices()
     carrying = carriers(control)
+    # Heights without those of the one or two features that make all the relief.
     z = vertices[~np.isin(np.array(control.features.ids)[control.features.vertex_feature],
                           carrying if len(carrying) < len(control) else ()), 2]
     if len(carrying) < len(control):
@@ -134,6 +139,7 @@ def _on_flat(control: FitData, points: Points) -> Iterator[str]:
                "tell what a height does, so they were not used.")
     unit = height_unit(control.features.crs)
     above, does = off_plane(control, vertices[:1] + np.array([0.0, 0.0, HIGH / unit]))
+    # How far an error of height moves the image, by the obliqueness of usual views.
     if does[0] > 0.0:
         low, high = (f"{round(float(height) * unit, 1) + 0.0:g}" for height in (z.min(), z.max()))
         covered = f"the height {low} m alone" if low == high else \
@@ -141,6 +147,7 @@ def _on_flat(control: FitData, points: Points) -> Iterator[str]:
         error = _rounded(HIGH / unit * does[0] / above[0])
         yield (f"The control covers {covered}. Expect about {error} px error per "
                f"{HIGH:g} m outside it.")
+    # Other points off the plane of the control are seen elsewhere than a plane model says.
     off, effect = off_plane(control, points.ground)
     far = effect > MEASURED
     if far.any():
@@ -155,12 +162,14 @@ def _rounded(size: float) -> str:
 
 def _on_twins(points: Points, independent: Points) -> Iterator[str]:
     """Yield what is to be said of points that repeat each other."""
+    # Too close to tell anything apart: they are held out together.
     close_points = groups(points.ids, twins(points.ground))
     if close_points:
         yield (f"Points too close to each other to tell anything apart share a role and a fold: "
                f"{_listed(close_points)}.")
     all_points = points.rejoin(independent)
     independent_ids = set(independent.ids)
+    # Twins of independent points among control make these test what was fitted to them.
     shared = [group for group in groups(all_points.ids, twins(all_points.ground, points.ground))
               if 0 < len(independent_ids.intersection(group)) < len(group)]
     if shared:

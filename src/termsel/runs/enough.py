@@ -42,17 +42,20 @@ def require_enough(observations: Observations, recipe: Recipe, criterion: Criter
             f"{criterion.name} needs at least {MIN_CHECK}",
             hint="Give more points the role check: they choose among selections. The criterion "
                  "press needs none (--criterion press).")
+    # The geometry of control matters where nothing else determines the model.
     if fewest == 1:
         return  # what is known of the image makes up for what they do not determine
     if not np.ptp(control.image_vertices(), axis=0).any():
         raise TermselError("all control features have the same place in the image",
                            hint="Check that the columns line and sample hold image coordinates.")
+    # The singular values of centred plan coordinates: the second is 0 on one straight line.
     flat = np.ptp(control.ground_vertices()[:, :2], axis=0)
     spread = np.linalg.svd(control.ground_vertices()[:, :2]
                            - control.ground_vertices()[:, :2].mean(axis=0), compute_uv=False)
     if not flat.any() or (len(control) > 2 and spread[1] < 1e-6 * spread[0]):
         raise TermselError("all control features lie on one straight line on the ground",
                            hint="Add control away from that line: a model needs an area.")
+    # Lines measure across themselves alone.
     if not len(control.points) and orientation_spread(control.lines) < ALL_PARALLEL:
         raise TermselError(
             "all control lines are parallel in the image, so nothing is measured along them",

@@ -120,7 +120,9 @@ def result_of(request: Request, finding: Finding) -> Result:
     observations = finding.observations
     agreeing = finding.agreeing
     contradicting = finding.contradicting.outliers
+    # Of control and selection points those found before, of independent points afterwards.
     outliers = (*finding.verdict.without(finding.in_use), *contradicting)
+    # The one place where figures of independent points are computed.
     rmse = figures(fitted, observations)
     baselines = finding.baselines(finding.compared)
     # The sentence on what the selection is worth leaves out points that contradict all others.

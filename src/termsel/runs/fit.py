@@ -66,6 +66,7 @@ def fit(features: Any, model: str | type[SensorModel] | SensorModel | Method = "
     True
     """
     features = features_of(features, crs, columns)
+    # A model comes before a method of the same name: it has options.
     if isinstance(model, str):
         names = registry()
         if (model_type := names.known("models", model)) is not None:
@@ -88,6 +89,7 @@ def fit(features: Any, model: str | type[SensorModel] | SensorModel | Method = "
 
 @one_blas_thread
 def _by_method(method: Method, features: FeatureSet) -> Fit:
+    # Check and independent points stay out, as in a run without them.
     data = FitData.of(control_of(_with_heights(features)))
     with blamed(method, "fit"):
         reason = method.declines(data)
@@ -104,6 +106,7 @@ def _fitted(model: SensorModel, features: FeatureSet) -> Fit:
 
 def _with_heights(features: FeatureSet) -> FeatureSet:
     """Return the features without those that lack a height, if the others have them; say so."""
+    # As a run does: otherwise one blank height would cost all heights.
     blank = to_leave_out(features)
     if blank:
         log.warning("Note: %s", note_on_blank(blank, features))

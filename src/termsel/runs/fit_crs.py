@@ -62,6 +62,7 @@ def with_fit_crs(choice: str, observations: Observations, model: SensorModel) ->
         raise TermselError(f"--fit-crs {choice}: plane coordinates without a CRS cannot be turned "
                            "into others", hint="State the CRS of the ground coordinates, or leave "
                                                "--fit-crs out.")
+    # Geocentric axes mix plan and height, so that a plane model cannot use them.
     spatial = model.uses_height and observations.heights
     if choice == AUTO:
         fit_crs = _best(observations, spatial)
@@ -77,6 +78,7 @@ def with_fit_crs(choice: str, observations: Observations, model: SensorModel) ->
     for ground in (control.ground_vertices(), observations.check.ground,
                   observations.independent.ground):
         transformation(features.crs, fit_crs)(ground)
+    # 2D and 3D WGS84 are the same coordinates.
     if fit_crs == normalise(features.crs) or WGS84.issuperset((fit_crs, normalise(features.crs))):
         fit_crs = ""
     return observations.fitted_in(fit_crs)
@@ -147,7 +149,9 @@ def with_polar(observations: Observations) -> Observations:
     if features.fit_crs or features.rpc is not None \
             or not note_on_pole(features, observations.control):
         return observations
+    # Around a pole degrees of longitude shrink to nothing, and so does what they explain.
     polar = fit_crs_of(POLAR, observations.control)
+    # Both choices see control and selection points alone.
     as_given = Auto().choose(FitData.of(features, observations.heights))
     in_polar = Auto().choose(FitData.of(replace(features, fit_crs=polar), observations.heights))
     if in_polar is None or (as_given is not None
@@ -161,6 +165,7 @@ def _best(observations: Observations, spatial: bool) -> str:
     features = observations.together
     predicted: dict[str, float] = {}
     for system in SYSTEMS:
+        # Not every system is possible for every model and body.
         if system == "geocentric" and not (spatial and body_of(features.crs) == EARTH):
             continue
         if system == POLAR and not is_polar(_places(observations.control)):
@@ -172,6 +177,7 @@ def _best(observations: Observations, spatial: bool) -> str:
         except TermselError as error:  # such as no zone of UTM: it is no candidate here
             log.info("%s coordinates are left out: %s.", system, error.what)
             continue
+        # Held-out errors are in px in all of these systems, so that they compare.
         predicted[fit_crs] = np.inf if choice is None else choice.chosen.held_out_rmse
     if not predicted:
         return normalise(features.crs)

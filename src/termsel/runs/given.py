@@ -26,6 +26,7 @@ def auto_of(method: str | Method | Callable[[FeatureSet], Any] | None,
         return auto_of_all(memory)
     if isinstance(method, Auto):
         return method
+    # A plain function gets its own name in tables.
     if callable(method) and not isinstance(method, Method | type):
         name = getattr(method, "__name__", "function")
         method = FunctionMethod(name, f"the function {name}", function=method)
@@ -57,6 +58,7 @@ def with_options(role: str, component: type[Configurable] | Configurable,
 
     `role` is what it is, such as "model".
     """
+    # A class gets the options; an instance has been made with its own.
     if isinstance(component, type):
         try:
             return component(**options)
@@ -88,6 +90,7 @@ def second_solver(recipe: Recipe, settings: Mapping[str, Any]) -> Any:
                 hint="Leave it out, or choose a problem of terms and features, such as "
                      "owdis-lines-terms.")
         return None
+    # Either plain, or with the part it is of: steps, problem.steps.
     steps = next((settings[key] for key in ("steps", "problem.steps") if key in settings),
                  options.get("steps"))
     if steps == "joint" and (stated is not None or of_second_solver):
@@ -108,5 +111,6 @@ def objectives_of(names_listed: str | None, criterion: Criterion) -> tuple[Objec
 
     The names are separated by commas; one that no objective has is refused.
     """
+    # The criterion is the first objective already.
     names = [name for name in dict.fromkeys(listed(names_listed)) if name != criterion.name]
     return tuple(registry().get("objectives", name) for name in names)

@@ -51,6 +51,7 @@ def judge(conventional: str, criterion: str, rmse: Rmses,
         return ("This selection does not satisfy all conditions, and no better one was found. It "
                 "has undetermined or too many terms, an axis without terms, or a pole in the "
                 "scene. Do not use it: measure more control points or choose a smaller model.")
+    # From here on the figure is the RMSE of independent points, which took no part.
     measured = rmse["independent"]
     if measured is None:
         return ("There are no independent check points, so the accuracy of this selection is not "
@@ -58,6 +59,7 @@ def judge(conventional: str, criterion: str, rmse: Rmses,
     best = next((b for b in baselines if b.name == reference), None)
     # Better than what fails is nothing to be proud of.
     poor = best is not None and _ratio(measured.total, _independent(best)) > POOR
+    # A comparison with a fit that failed, or of a selection that did, flatters one of them.
     if poor or not baselines[0].converged:
         first = f"The RMSE of the selection is {_px(measured.total)}"
         if not baselines[0].converged:
@@ -66,6 +68,7 @@ def judge(conventional: str, criterion: str, rmse: Rmses,
         first = _compare("The selection is", measured.total, _independent(baselines[0]),
                          conventional, determined=baselines[0].determined)
     sentences = [f"{first} at {counted(measured.n, 'independent check point')}."]
+    # The rule of auto, for what the user would get without a search.
     method = method or BY_NAME.get(reference)
     if best is not None and method is not None:
         removed = ", outliers removed" if blunders else ""
@@ -109,10 +112,12 @@ def judge_choice(method: Method, predicted: float | None, rmse: Rmses,
     else:
         sentences.append(f"The RMSE at {counted(measured.n, 'independent check point')}, which "
                          f"took no part, is {_px(measured.total)}.")
+    # The rival is chosen by held-out errors, never by the independent points that judge.
     rivals = [(b.predicted, b, candidate.title) for b in baselines if b.predicted is not None
               and (candidate := registry().known("methods", b.name))
               and candidate.is_plain and candidate is not method]
     if rivals:
+        # The surer figure decides: many independent points, else the prediction.
         by_points = measured is not None and (predicted is None
                                               or measured.n >= MANY_INDEPENDENT)
         held_out, best, title = min(rivals, key=lambda rival: rival[0])
@@ -143,6 +148,7 @@ def _in_hindsight(rmse: float, named: Baseline,
                   conventional: list[tuple[Baseline, str]]) -> Iterator[str]:
     """Yield which conventional model is better at the independent points, if one but `named` is."""
     best, title = min(conventional, key=lambda rival: _independent(rival[0]))
+    # Said apart, as these points chose it in hindsight.
     ratio = _ratio(rmse, _independent(best))
     if ratio > ALIKE and best is not named:
         yield (f"At these points {title} is {_times(ratio)} better ({_px(_independent(best))}), "
@@ -151,6 +157,7 @@ def _in_hindsight(rmse: float, named: Baseline,
 
 def name_conventional(genome: Genome, observations: Observations) -> str:
     """Return in words what a fit uses that leaves out nothing of what could be selected."""
+    # What could be selected says what the conventional fit leaves in.
     lines = len(observations.control.lines)
     points = len(observations.control.points)
     features = ("all points and lines" if lines and points else
@@ -206,6 +213,7 @@ def notes_on(observations: Observations, criterion: Criterion, search: SearchRes
         if spread < PARALLEL:
             yield (f"The lines in use run nearly alike (orientation spread {spread:.2g} of 1): "
                    "the model is hardly determined along them.")
+    # Pseudo-observations of weight w: rows sqrt(w) c = 0 below the design matrix.
     prior = fitted.model.equations(fitted.scaled_control).prior
     if prior is not None and prior[fitted.terms].any() and fitted.estimator.least_squares:
         yield (f"Pseudo-observations of weight {prior.max()**2:.3g} hold coefficients of "
@@ -217,6 +225,7 @@ def notes_on(observations: Observations, criterion: Criterion, search: SearchRes
     if search.interrupted:
         yield "The search was interrupted; this is the best selection so far."
     check = fitted.rmse(observations.check)
+    # Selection points were minimised: how much better they fit is the overfit.
     independent = fitted.rmse(observations.independent)
     if (criterion.needs_check and check and independent
             and independent.total > 1.5 * check.total):
@@ -234,5 +243,6 @@ def notes_on(observations: Observations, criterion: Criterion, search: SearchRes
         else:
             yield (f"The search minimised an RMSE of {objective:.4g} px over the points that the "
                    "problem judges by, which are not the selection points alone.")
+    # As many equations as terms: residuals are zero whatever the errors.
     if fitted.adjustment.redundancy == 0:
         yield "The adjustment has no redundancy: its residuals are no measure of accuracy."

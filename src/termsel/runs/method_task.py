@@ -63,6 +63,8 @@ def task_of_method(request: Request, auto: Auto) -> Task:
     """
     fewest = fewest_features(request.features, auto)
     observations = observe(request, fewest)
+    # The image may be a part, or a coarser copy, of that of its RPC, as control tells; roles are
+    # assigned again then, as the RPC has moved.
     image_part = part_of_rpc(observations.together)
     if image_part is not None:
         request = with_part(request, image_part)
@@ -74,6 +76,7 @@ def fewest_features(features: FeatureSet, auto: Auto) -> int:
     """Return the fewest features to choose by: one where something is known of the image."""
     if features.rpc is not None:
         return 1
+    # Independent points must not decide whether the others are enough.
     in_use = np.array([role not in ("independent", "off") for role in features.points.roles]
                       + [True] * len(features.lines.features), dtype=bool)
     if not 0 < in_use.sum() < LEAST:

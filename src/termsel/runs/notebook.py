@@ -26,6 +26,7 @@ def notebook_observer(title: str) -> Callable[[Progress], None] | None:
         return None
 
     def observe(progress: Progress) -> None:
+        # A search without a budget has no share that is done.
         share = "" if progress.share is None else f" {100 * progress.share:.0f} %,"
         values = progress.violation == 0 and math.isfinite(progress.best)
         best = f"{progress.best:.4g}" if values else "-"
@@ -63,6 +64,7 @@ def _line(title: str) -> Callable[[str, bool], None] | None:
 
     def show(text: str, last: bool) -> None:
         nonlocal shown
+        # Renewing a line costs more than a generation of a small problem.
         if time.monotonic() - shown >= _EVERY or last:
             shown = time.monotonic()
             line.update({"text/plain": text}, raw=True)

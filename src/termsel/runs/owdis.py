@@ -42,6 +42,7 @@ def with_selected_lines(control: FitData, choice: Choice, auto: Auto,
     count = len(control.features.points)
     if count < FOLDS_WITH_LINES or not len(lines):
         return choice, None
+    # Only points are predicted by others alike, with the selected lines or with all.
     squares_alone = choice.chosen.held_out().squares[:count]
     selected = _selected(control, seed)
     with_lines = None if selected is None else auto.choose(selected)
@@ -95,6 +96,7 @@ def _held_out(control: FitData, auto: Auto, seed: int) -> FloatArray | None:
     """Return the errors of points under selections made without them; None if a fold has none."""
     points = control.features.points
     errors = np.empty((len(points), 2))
+    # Folds spread over the scene, so that no fold leaves an area without points.
     order = spatial_order(points.ground[:, :2])
     for fold in range(FOLDS_WITH_LINES):
         is_out = np.isin(np.arange(len(control)), order[fold::FOLDS_WITH_LINES])

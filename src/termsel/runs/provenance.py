@@ -49,6 +49,7 @@ def _read(request: Request, observations: Observations) -> WhatWasRead:
     # Blunders among control and check included: they may be one of the groups.
     excluded = {*observations.independent.ids, *select(
         points.ids, [role == "off" for role in points.roles])}
+    # Independent points take no part, though only in a note.
     groups = two_groups(request.features.with_(
         points=points.take([name not in excluded for name in points.ids])))
     lines_in_use = set(request.features.lines.ids)
@@ -108,6 +109,7 @@ def _origin(component: Any) -> dict[str, str]:
     """Return what identifies a thing; nothing for one of termsel itself."""
     if isinstance(component, type) and is_own(component):  # without a look at all the others
         return {}
+    # By its object: two plugins may give the same name.
     entry = registry().origin(component)
     if entry is not None and entry.provided_by != SESSION:
         return {} if entry.provided_by == PROJECT else {

@@ -30,6 +30,7 @@ def recommended(task: Task, search: SearchResult) -> SearchResult:
         return replace(search, notes=(*search.notes, note)) if has_one_objective else search
     genes = np.array(search.front)
     evaluation = task.problem.evaluate(genes)
+    # The criterion, and the second objective or else the number of genes in use.
     first = evaluation.objectives[:, 0]
     second = (task.problem.genome.chosen(genes).sum(axis=1).astype(float) if has_one_objective
               else evaluation.objectives[:, 1])

@@ -130,17 +130,21 @@ def request_of(
     names = registry()
     settings = options or {}
     recipe: Recipe = names.taken("problems", problem)
+    # 1. Which model, criterion and solver: those named, else the problem's.
     components = _named_parts(recipe, model, solver, criterion, settings)
+    # 2. Whose option each setting is; unknown ones are refused here.
     by_parts = _by_parts(recipe, components, settings)
     model_part = components["model"]
     set_options = tuple(by_parts["model"]) if isinstance(model_part, type) else tuple(
         option.name for option in model_part.declared_options
         if model_part.options[option.name] != option.default)
+    # 3. Instances, with what the paper of the problem or of the solver has by default.
     usual = _usual_options(recipe, components, model, solver, features)
     instances = {}
     for role, component in components.items():
         instances[role] = with_options(
             role, component, {**usual.get(role, {}), **by_parts[role]})
+    # 4. Options of problem, search and data, those decided that depend on the rest.
     of_problem = _of_problem(
         recipe, by_parts["problem"], instances["criterion"], instances["solver"])
     polished = recipe.refined and solver is None and not instances["solver"].ends_by_itself
@@ -150,11 +154,13 @@ def request_of(
     if split_of(of_data) is not None and of_data["role"]:
         raise TermselError(f"the options role and roles={of_data['roles']} exclude each other",
                            hint="Leave one of them out; off goes with both.")
+    # 5. The features, in the roles asked for.
     if features is None:
         spec = names.taken("datasets", recipe.dataset if dataset is None else dataset)
         features = loaded(spec)
         source = f"{spec.name} (simulated)" if spec.simulated else spec.name
     in_roles = with_roles(features, roles)
+    # Features without a height take no part where the others have one and the model needs it.
     blank = to_leave_out(in_roles) if instances["model"].uses_height else ()
     return Request(
         recipe=recipe, model=instances["model"], criterion=instances["criterion"],
@@ -185,6 +191,7 @@ def problem_for(features: FeatureSet | None, dataset: str | DatasetSpec | None =
     if features is None:
         raise TermselError("there is nothing to run",
                            hint="Give points or lines, or name a problem.")
+    # Lines are what OWDIS was made for; without heights a model has no use for Z.
     if len(features.lines):
         return "owdis-lines"
     plane = features.without_height() and not to_leave_out(features)
@@ -277,10 +284,12 @@ def _of_problem(recipe: Recipe, settings: Mapping[str, Any], criterion: Criterio
     undeclared = {option.name: option for option in undeclared_options(recipe)}
     options = resolve([*recipe.options, *(option for name, option in undeclared.items()
                                           if name in settings)], settings)
+    # A solver of fronts needs a second objective: the size of the selection.
     if solver.max_objectives > 1 and "objectives" in {*options, *undeclared}:
         options["objectives"] = options.get("objectives") or recipe.second
     if "max_share" in options and options["max_share"] is None:
         options["max_share"] = 1.0 if solver.uses_all else MAX_SHARE
+    # One step has one solver.
     if options.get("steps") == "joint" and "then" in options:
         options["then"] = None
     if "recommend" in options:

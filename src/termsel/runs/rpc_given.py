@@ -29,12 +29,14 @@ def part_of_rpc(control: FeatureSet) -> ImagePart | None:
     rpc = control.rpc
     if rpc is None or normalise(control.crs) == LOCAL:
         return None
+    # Heights that are not known say nothing of the place in the RPC.
     points = control.points.take(np.isfinite(control.points.ground).all(axis=1))
     try:
         positions = to_wgs84(control.crs)(points.ground)
     except TermselError as error:
         raise TermselError(f"the RPC takes ellipsoidal heights, and {error.what}",
                            hint=error.hint) from error
+    # Before the part is recognised: wrong units look like another part.
     _refuse_feet(rpc, positions, points.image)
     with np.errstate(all="ignore"):
         return recognised(rpc.project(positions), points.image)
@@ -47,15 +49,18 @@ def _refuse_feet(rpc: Rpc, positions: FloatArray, image: FloatArray) -> None:
     """
     if not len(positions):
         return
+    # The range of an RPC is its offset plus and minus its scale.
     middle, half = rpc.ground_offset[2], rpc.ground_scale[2]
     in_metres = positions * [1.0, 1.0, UNITS[FOOT]]
     metres, feet = (float(np.median(heights)) for heights in (in_metres[:, 2], positions[:, 2]))
+    # Plausible as metres, or implausible as feet: then there is nothing to refuse.
     if abs(feet - middle) <= _OUTSIDE * half or abs(metres - middle) > half:
         return
     with np.errstate(all="ignore"):
         distances = [np.linalg.norm(rpc.project(ground) - image, axis=1)
                      for ground in (positions, in_metres)]
         as_read, converted = (float(np.nanmedian(lengths)) for lengths in distances)
+    # Feet must explain at least half of the distance, or something else is wrong.
     if converted < as_read * _NEARER:
         raise TermselError(
             f"the heights of the control, {feet:,.0f} m (median), are outside those of the RPC, "

@@ -139,15 +139,18 @@ def run(
         "criterion": criterion, "options": options}
     limits = {"generations": generations, "evaluations": evaluations, "seconds": seconds,
               "patience": patience}
+    # A limit asks for a search, as a solver does: the choice among methods has none.
     is_limited = any(limit is not None for limit in limits.values())
     notebook = notebook_observer(
         problem.recipe.name if isinstance(problem, Task) else str(problem or "auto"))
+    # Those of the user come first, then the notebook, then those of plugins.
     observers = (*observers, *filter(None, [notebook]), *registry().observers())
     sole_method: Auto | TaskMethod | None = None
     if isinstance(problem, Task):
         _refuse_named({"features": features, **arguments})
         task = problem
     else:
+        # What is asked for of a method, in words: the automatic choice would decide it itself.
         named = problem_for(features, dataset) if problem is None else problem
         words = [*method_words(model, solver, criterion, options), *["a budget"] * is_limited]
         if method is not None and strategy is not None:
@@ -158,17 +161,21 @@ def run(
             require_alone(method, words)
             of_data = {"features": features, "dataset": dataset, "source": source,
                        "options": options}
+            # A search judges by selection points; any other method takes them as control.
             if isinstance(method, TaskMethod):
                 sole_method = method
                 task = prepared(request_of(named, **of_data))
             else:
+                # The choice among all methods, or among one.
                 sole_method = auto_of(method, memory)
                 task = task_of_method(request_of_method(named, model=model, **of_data), sole_method)
         else:
             task = prepared(request_of(named, features=features, **arguments))
             _warn_of_search(task, words, is_in_place_of_auto=strategy is None and problem is None)
+    # The limits of a problem are those of its paper, where the user gives none.
     if not is_limited:
         limits |= {"generations": task.recipe.generations, "patience": task.recipe.patience}
+    # Said before the search, which may take hours.
     if task.solver.options.get("certificate") and out is None:
         raise TermselError("a certificate is a file of the folder of a result, and there is none",
                            hint="Add --out DIR, in Python out=.", name="certificate")
@@ -227,6 +234,7 @@ def _written(work: Callable[[], Result], out: Path | str | None, overwrite: bool
     with nullcontext() if out is None else claimed(Path(out), overwrite=overwrite):
         if longer:
             log.info("Compiling: the first run on this machine takes some %d s longer.", longer)
+        # The folder is claimed before the work, so that two runs never share it.
         result = work()
         if out is not None:
             result = with_spent(result, Path(out))

@@ -98,6 +98,7 @@ class Search(TaskMethod):
         task = prepare(self.problem or problem_for(features), features=features, **settings)
         searched, search = search_without_blunders(task, Auto(), **self.limits)
         fitted = estimated(searched, searched.problem.decode(search.genes), search)
+        # Selection points judged, and are control of the method all the same.
         in_use = select(fitted.control.ids, fitted.used)
         return replace(fitted, control=replace(features, fit_crs=fitted.control.fit_crs),
                        used=np.isin(features.ids, in_use))
@@ -113,6 +114,7 @@ class Search(TaskMethod):
     def find(self, task: Task, memory: Memory) -> tuple[Request, Finding]:
         """Search a prepared task, or the problem of one's own with its features."""
         task = self.own_task(task)
+        # The outlier test comes before the search, which may leave blunders out.
         auto = Auto(memory=memory)
         verdict = judge_features(task.observations, auto, task.options["data"]["tested"])
         searched, search = search_without_blunders(task, auto, verdict, **self.limits)
@@ -161,6 +163,7 @@ class GivenGenes(TaskMethod):
 
     def find(self, task: Task, memory: Memory) -> tuple[Request, Finding]:
         """Decode the genes for a prepared task."""
+        # One chromosome, evaluated as the population of one that a search ends with.
         population = np.asarray(self.genes)[None]
         if fault := task.problem.genome.fault(population):
             raise TermselError(
@@ -198,11 +201,14 @@ def finding_of(task: Task, search: SearchResult, auto: Auto,
     fitted = estimated(task, selection, search)
     feasible = is_feasible(task, search, fitted)
     verdict = verdict or judge_features(observations, auto, task.options["data"]["tested"])
+    # The conventional fit: all terms, all control, no selection.
     all_terms = fit(task.model, observations.control, task.scaling)
     comparison = compare_robustly(observations, auto, verdict.blunders | verdict.high)
     contradicting, agreeing = judge_independent(observations, comparison.choice, auto)
+    # In words, for the sentence on what the selection is worth.
     conventional = name_conventional(task.problem.genome, observations)
     plugins = plugins_of(task.request)
+    # Members of the front and the best of each size share fits, by their genes.
     sizes = _sizes(task, search)
     members = {genes.tobytes(): _member(task, genes)
                for genes in (*search.front, *(size.genes for size in sizes))}
@@ -211,6 +217,7 @@ def finding_of(task: Task, search: SearchResult, auto: Auto,
         return (baseline("all-terms", all_terms, None, in_roles, ("control",)),
                 *comparison.baselines(in_roles))
 
+    # Called twice where independent points contradict all others: with and without these.
     def judgement(rmse: Rmses, rivals: tuple[Baseline, ...]) -> str:
         return judge(conventional, task.criterion.name, rmse, rivals,
                      reference=comparison.reference, feasible=feasible,
@@ -254,6 +261,7 @@ def _files(task: Task, search: SearchResult, observations: Observations) -> dict
     """Return further files of the result: the certificate of a proof, with the data it is of."""
     if search.certificate_content is None:
         return {}
+    # The checker compares this checksum with that of the result.
     data = data_of(task.request, observations).sha256
     content = {**search.certificate_content, "data": data}
     content["sha256"] = of_certificate(content)
@@ -275,6 +283,7 @@ def is_feasible(task: Task, search: SearchResult, fitted: Fit) -> bool:
 
     The coefficients may be others than those the search saw, so poles are looked for again.
     """
+    # Least squares satisfy what the search saw; other coefficients must be looked at themselves.
     return (search.violation == 0 if fitted.estimator.least_squares else fitted.determined) \
         and fitted.adjustment.converged and not has_pole(fitted, task.observations.check)
 
@@ -282,6 +291,7 @@ def is_feasible(task: Task, search: SearchResult, fitted: Fit) -> bool:
 def estimated(task: Task, selection: Selection, search: SearchResult) -> Fit:
     """Return the fit of a selection, by the estimator that the task or the solver asks for."""
     fitted = fit_of(task, selection)
+    # Selected terms, shrunken: their coefficients are not those that the search judged.
     if task.options["problem"].get("shrink"):
         return RidgeByOrder().fit(fitted.model, fitted.control, task.scaling, fitted.terms,
                                   fitted.used)
@@ -290,11 +300,13 @@ def estimated(task: Task, selection: Selection, search: SearchResult) -> Fit:
 
 def _certificate(task: Task, search: SearchResult, fitted: Fit) -> Certificate | None:
     """Return what the solver proved, or how far its find is from the proven optimum."""
+    # A certificate of the solver, or the gap to an optimum that enumeration proves quickly.
     content = _proven(task, search, fitted)
     return None if content is None else convert(plain(content), Certificate)
 
 
 def _proven(task: Task, search: SearchResult, fitted: Fit) -> Mapping[str, Any] | None:
+    # What a solver of a plugin proves is its claim, and named as such.
     claim = plugins_of(task.request).get("solver")
     if search.certificate is not None and claim:
         return {**_required(search.certificate, claim["name"]), "claimed_by": claim["name"]}
@@ -327,6 +339,7 @@ def _member(task: Task, genes: Genes) -> Member:
     selection = task.problem.decode(genes)
     member = fit_of(task, selection)
     values = task.problem.evaluate(genes[None]).objectives[0].tolist()
+    # The second objective of a front of one criterion is the size of its selections.
     size = len(selection.features if task.recipe.second == "n_features" else selection.terms)
     return Member(
         {task.recipe.second: size, **dict(zip(task.problem.objectives, values, strict=True))},
@@ -339,7 +352,9 @@ def _member(task: Task, genes: Genes) -> Member:
 def fit_of(task: Task, selection: Selection) -> Fit:
     """Return the model fitted with the terms and features that a problem's genes stand for."""
     control = task.observations.control
+    # Values that the genes chose for options of the model take the place of those given.
     model = task.model.with_parameters(selection.parameters)
+    # Names, not places: a problem may select among some of the terms or features.
     terms = _mask(task, model.terms, selection.terms, "term")
     used = _mask(task, control.ids, selection.features, "control feature")
     return least_squares_of(model, control, task.scaling, terms, used, task.observations.check)

@@ -35,10 +35,12 @@ def search_in_steps(task: Task, **how: Any) -> SearchResult:
     order = task.options["problem"].get("steps", "joint")
     if order == "joint" or not isinstance(problem, SelectionProblem):
         return search(problem, task.solver, **options, **how)
+    # A front has no single end from which a second step could go on.
     if len(problem.objectives) > 1:
         raise TermselError(f"steps={order} is for one objective, and there are "
                            f"{len(problem.objectives)}: {', '.join(problem.objectives)}",
                            hint="Choose --set steps=joint, or a solver for one objective.")
+    # Of the two groups of genes, the later one is held while the first is searched.
     is_feature = np.zeros(len(problem.genome.labels), dtype=bool)
     is_feature[problem.genome.label_slices()["features"]] = True
     later = is_feature if order == "terms-first" else ~is_feature
@@ -47,11 +49,13 @@ def search_in_steps(task: Task, **how: Any) -> SearchResult:
     if task.then is not None:
         _require_beginning(problem.frozen(everything, ~later), task.then)
     require_limits(**{name: how.get(name) for name in _LIMITS})
+    # Half of the budget for the first step; the second has what the first left.
     budget = _budget(task, how)
     first = search(beginning, task.solver, **options, **{**how, **{
         name: value / 2 if name == "seconds" else max(value // 2, 1)
         for name, value in budget.items()}})
     step = order.split("-")[0]
+    # What the first step could not satisfy, the second cannot either.
     if first.violation:
         raise TermselError(
             f"no selection of {step} with everything else in use satisfies all conditions",
@@ -60,6 +64,7 @@ def search_in_steps(task: Task, **how: Any) -> SearchResult:
     if first.stopped:
         return first
     solver = task.then or task.solver
+    # The second step searches the other genes with those of the first held.
     first_genes = beginning.genome.chosen(first.genes[None])[0]
     second = search(problem.frozen(first_genes, ~later), solver, **options, **{**how, **{
         name: max(value - getattr(first, name), _LEAST if name == "seconds" else 1)

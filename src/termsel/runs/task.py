@@ -220,6 +220,7 @@ def given_features(features: Any, source: str | None, crs: str | None,
 
 def prepared(request: Request) -> Task:
     """Return the task of what is asked; refuse what its problem cannot be built from."""
+    # A problem is built at once, so that what is wrong is said before a search begins.
     request = with_shares(request)
     return checked(Task(request, observe(request)))
 
@@ -235,6 +236,7 @@ def observe(request: Request, fewest: int = MIN_CONTROL) -> Observations:
     """
     request = with_shares(request)
     recipe = request.recipe
+    # Roles of the file first; blank ones are assigned by place, with the seed of the option.
     criterion = request.criterion
     of_data = request.options["data"]
     observations = assign_roles(
@@ -243,9 +245,11 @@ def observe(request: Request, fewest: int = MIN_CONTROL) -> Observations:
         split=split_of(of_data),
         fractions=parsed_shares(of_data["fractions"], criterion.needs_check),
         rng=np.random.default_rng(of_data["split"]))
+    # Where no criterion needs judges, selection points are control as well.
     if _check_as(request, observations) == "control":
         observations = check_as_control(observations)
     features = observations.together
+    # Independent points need heights, too: the model must see them in the end.
     require_heights(request.model, features.with_(
         points=features.points.rejoin(observations.independent)))
     require_enough(observations, recipe, criterion, request.model, fewest)
@@ -268,12 +272,15 @@ def with_shares(request: Request, *, auto: bool = False) -> Request:
 
 
 def _usual_shares(request: Request, *, auto: bool) -> str:
+    # Points that are off take no part, nor do they count.
     roles = [role for role in request.features.points.roles if role != "off"]
     is_mixed = request.options["problem"].get("mixed")
     points_are_control = request.recipe.control == "points" or is_mixed
+    # A search that judges by selection points needs a third for these, a third for the verdict.
     if request.criterion.needs_check or not points_are_control \
             or request.options["data"]["roles"] != FILE:
         return ALIKE
+    # Of a lattice whole lines are held out, so that no point need be set aside.
     if auto and lattice_of(request.features.points) is not None:
         return ALL_CONTROL  # its lines and columns are held out
     if auto:
@@ -294,8 +301,10 @@ def _built(request: Request, inputs: ProblemData) -> Problem:
         problem = build(inputs)
     require_type(build, "build", problem, Problem)
     _refuse_foreign(request, problem)
+    # A value given for an option that is searched would be overwritten in silence.
     if isinstance(problem, ParameterProblem):
         _refuse_searched(request, problem)
+    # Both steps search the same problem.
     for solver in filter(None, (request.solver, request.then)):
         require_able(problem, solver, lambda: [
             entry.object for entry in registry().entries("solvers")])

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from msgspec.structs import replace as changed
@@ -62,6 +63,7 @@ def judge_features(observations: Observations, auto: Auto,
 
     It is an empty one if they were tested before, and of a lattice, whose points were computed.
     """
+    # Points of a lattice are computed by a processor, and none of them is mistyped.
     if tested or observations.lattice is not None:
         return Verdict()
     roles: dict[str, Role] = dict.fromkeys(observations.together.ids, "control")
@@ -70,6 +72,7 @@ def judge_features(observations: Observations, auto: Auto,
     carriers = observations.carriers
     if auto.fewest(observations.pool) == 1:
         carriers = ()  # what is known of the image says what heights do
+    # Relief that rests on one or two features cannot be told from their errors.
     high = with_twins(points, carriers).union(carriers)
     # Where no plane is determined without them, they are judged like others.
     if off_plane_outliers := _held_against_others(observations, roles, high):
@@ -78,10 +81,13 @@ def judge_features(observations: Observations, auto: Auto,
     pool = observations.pool
     features = pool.features
     suspects = _that_can_be_seen(auto.suspects(pool) or find_blunders(pool, auto))
+    # The median over features of the error that would be named, for the record.
     limit = None if suspects is None else finite_or_none(float(median(suspects.limits)))
     verdict = replace(verdict, test=BlunderTest(
         len(features), limit, float(np.ptp(features.image_vertices(), axis=0).max())))
     if suspects is None or not (suspects.blunders | suspects.undecided).any():
+        # Few points determine so much that the test finds nothing; the orientation of their
+        # triangles still tells two exchanged points.
         exchange = exchange_of(pool)
         if exchange is not None:
             unlike_any_view = _unlike_any_view(pool, exchange, roles)
@@ -166,6 +172,7 @@ def judge_independent(observations: Observations, choice: Choice | None,
     suspects = _that_can_be_seen(suspects)
     if suspects is None or not suspects.blunders.any():
         return Verdict(), observations
+    # Where most contradict the model it is the model, or their datum, that is in doubt.
     if suspects.blunders.mean() > MOST and by_geometry is None:
         count = int(suspects.blunders.sum())
         subject = ("The independent check point contradicts" if len(points) == 1 else
@@ -174,6 +181,7 @@ def judge_independent(observations: Observations, choice: Choice | None,
             f"{subject} control and check. Either {'it was' if len(points) == 1 else 'they were'} "
             "measured differently, or the model does not hold there.",)), observations
     wrong = frozenset(select(points.ids, suspects.blunders))
+    # Independent points are blunders or not: nothing is chosen that would leave it open.
     decided = replace(suspects, undecided=np.zeros_like(suspects.undecided))
     outliers = _outliers(FeatureSet(points), dict.fromkeys(points.ids, "independent"), decided)
     independent = observations.independent
@@ -191,6 +199,7 @@ def _by_what_is_known(fitted: Fit, points: Points, heights: bool,
     suspects: Suspects | None = auto.ask(method_of(fitted), "suspects", data)
     if suspects is None:
         return None
+    # Suspects of control come first; they had their verdict before the choice.
     of_points = slice(len(control.points), len(control.points) + len(points))
     return Suspects(suspects.blunders[of_points], suspects.probable[of_points],
                     suspects.undecided[of_points], suspects.errors[of_points],
@@ -207,7 +216,8 @@ def _outliers(features: FeatureSet, roles: dict[str, Role],
         if not is_outlier[i]:
             continue
         name = features.ids[i]
-        certainty = "possible" if suspects.undecided[i] else \
+        certainty: Literal["certain", "probable", "possible"] = \
+            "possible" if suspects.undecided[i] else \
             "probable" if suspects.probable[i] else "certain"
         outliers.append(Outlier(name, "line" if name in lines else "point", roles[name],
                                 float(suspects.errors[i]), certainty, excluded=False))
@@ -216,6 +226,7 @@ def _outliers(features: FeatureSet, roles: dict[str, Role],
 
 def _limits(features: FeatureSet, suspects: Suspects) -> Iterator[str]:
     """Yield which errors cannot be found, where features are few."""
+    # With many features the limits are a few noise levels: nothing to warn of.
     if len(features) >= FEW:
         return
     index = int(np.argmax(suspects.limits))

@@ -67,8 +67,10 @@ def _without(task: Task, blunders: frozenset[str]) -> Task | None:
     names = problem.inputs.control.ids
     of_features = problem.genome.label_slices()[FEATURES]
     forced = select(names, problem.genome.on[of_features] | problem.genome.off[of_features])
+    # Features that the user forces on or off stay as they are.
     left_out = blunders.difference(forced)
     points = left_out.intersection(observations.together.points.ids)
+    # Points leave the observations, so that they neither serve as control nor judge.
     if points:
         fewer = leave_out(observations, points)
         try:
@@ -81,6 +83,7 @@ def _without(task: Task, blunders: frozenset[str]) -> Task | None:
         names = problem.inputs.control.ids
         of_features = problem.genome.label_slices()[FEATURES]
     is_out = np.isin(names, list(left_out - points))
+    # Lines stay on offer, their genes held off: each has its place in the chromosome.
     if not is_out.any():
         return task
     segment = problem.genome.segments[-1]

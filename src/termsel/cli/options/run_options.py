@@ -339,7 +339,7 @@ def parse_settings(settings: tuple[str, ...], **named: str | None) -> dict[str, 
         if key.strip() in options:
             raise TermselError(f"--set {key.strip()} is given twice", hint="Give it once.")
         options[key.strip()] = value.strip()
-    for key, value in named.items():
-        if value is not None and options.setdefault(key, value) != value:
+    for key, stated in named.items():
+        if stated is not None and options.setdefault(key, stated) != stated:
             raise TermselError(f"{key} is given twice", hint="Give it once.")
     return options

@@ -40,8 +40,8 @@ def remote_option(command: Command) -> Command:
         help="Let rasters and vector files refer to servers; refused otherwise.")(command)
 
 
-def _allow(context: click.Context, parameter: click.Parameter, given: bool) -> None:  # noqa: ARG001
-    if given and not context.resilient_parsing:
+def _allow(context: click.Context, parameter: click.Parameter, is_given: bool) -> None:  # noqa: ARG001
+    if is_given and not context.resilient_parsing:
         from termsel.core.files.drivers import allow_remote as allowed
 
         context.with_resource(allowed())
