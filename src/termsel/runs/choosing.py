@@ -46,7 +46,7 @@ INTERRUPTED = ("The run was interrupted when {0} of {1} candidates were judged. 
 
 NAMES = ("auto", "as-asked")
 
-def wanted(strategy: str | None, recipe: Recipe, method: Sequence[str] = (), *,
+def uses_auto(strategy: str | None, recipe: Recipe, method: Sequence[str] = (), *,
            unnamed: bool = False) -> bool:
     """Return whether a run is to choose its method by itself.
 
@@ -59,9 +59,9 @@ def wanted(strategy: str | None, recipe: Recipe, method: Sequence[str] = (), *,
         raise TermselError(f"there is no strategy {strategy!r}",
                            hint=f"Choose {' or '.join(NAMES)}.")
     if strategy != "auto":
-        return (strategy is None and recipe.portfolio and (unnamed or not recipe.search_first)
+        return (strategy is None and recipe.for_methods and (unnamed or not recipe.search_first)
                 and not method)
-    if not recipe.portfolio:
+    if not recipe.for_methods:
         raise TermselError(f"the strategy auto is not for the problem {recipe.name}",
                            hint="It chooses among models of points and lines: rfm-terms, "
                                 "poly-terms, owdis-lines. To have a vendor's RPC corrected, leave "

@@ -24,7 +24,7 @@ from termsel.io.spent import with_spent
 from termsel.models.base import SensorModel
 from termsel.plugins.registry import registry
 from termsel.results.result import Result
-from termsel.runs.choosing import wanted
+from termsel.runs.choosing import uses_auto
 from termsel.runs.given import auto_of
 from termsel.runs.method_task import request_of_method, require_alone, task_of_method
 from termsel.runs.notebook import notebook_observer
@@ -157,7 +157,7 @@ def run(
             words.append("a strategy")
         recipe = registry().taken("problems", named)
         words += ["a checkpoint"] if checkpoint is not None else []
-        if method is not None or wanted(strategy, recipe, words, unnamed=problem is None):
+        if method is not None or uses_auto(strategy, recipe, words, unnamed=problem is None):
             require_alone(method, words)
             of_data = {"features": features, "dataset": dataset, "source": source,
                        "options": options}
@@ -199,7 +199,7 @@ def run(
 
 def _warn_of_search(task: Task, words: Sequence[str], *, is_in_place_of_auto: bool) -> None:
     """Say where a search takes the place of the automatic choice, and where an RPC is not used."""
-    if is_in_place_of_auto and task.recipe.portfolio:
+    if is_in_place_of_auto and task.recipe.for_methods:
         log.warning("Note: %s asks for a search by %s, which takes the place of the automatic "
                     "choice. Leave %s out to have the model chosen automatically.",
                     " and ".join(words), task.solver.name, "it" if len(words) == 1 else "them")

@@ -152,7 +152,7 @@ def judge_independent(observations: Observations, choice: Choice | None,
     """Return the verdict on independent points, and the observations without its blunders.
 
     They stay in all figures, next to which those without them are given. `choice` is that of
-    control and check without blunders, from a portfolio: where the chosen model knows the image
+    control and check without blunders, from several methods: where the chosen model knows the image
     beforehand, as a vendor's RPC does, it knows of a single point whether it is wrong.
     """
     points = observations.independent

@@ -33,7 +33,7 @@ class Recipe:
         Further settings of the problem.
     second : str
         The second objective of a solver for several objectives.
-    portfolio : bool
+    for_methods : bool
         Whether the strategy "auto" may answer the problem: it asks for the best model of the
         features, with any terms.
     solver_options : mapping
@@ -60,7 +60,7 @@ class Recipe:
     control: str = "points"
     options: tuple[Option, ...] = ()
     second: str = "n_terms"
-    portfolio: bool = False
+    for_methods: bool = False
     search_first: bool = False
     solver_options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     generations: int | None = None
@@ -238,30 +238,30 @@ YAVARI = "Yavari, Valadan Zoej, Salehi 2018 (OWDIS)"
 
 RECIPES = (
     Recipe("rfm-terms", "Which terms of a rational function model to use.", select_terms,
-           model="rfm", dataset="ikonos-hamedan", options=OF_TERMS, portfolio=True,
+           model="rfm", dataset="ikonos-hamedan", options=OF_TERMS, for_methods=True,
            source="Valadan Zoej et al. 2007; Akhoundi Khezrabad et al. 2020"),
     Recipe("rfm-terms-lines", "Which terms of a rational function model to use, with lines as "
            "control.", select_terms,
            model="rfm", dataset="ikonos-hamedan", control="lines", options=OF_TERMS,
-           portfolio=True, search_first=True,
+           for_methods=True, search_first=True,
            source=f"{YAVARI}; its companion on particle swarm could not be consulted"),
     Recipe("poly-terms", "Which terms of a 2-D polynomial to use.", select_terms,
-           model="poly2d", dataset="ikonos-hamedan", options=OF_TERMS, portfolio=True,
+           model="poly2d", dataset="ikonos-hamedan", options=OF_TERMS, for_methods=True,
            source="Valadan Zoej et al. 2002; Zakaryaie Nejad et al. 2015"),
     Recipe("owdis-points", "Which control points to use.", select_features,
            model="poly3d", dataset="ikonos-hamedan", options=OF_FEATURES, second="n_features",
-           portfolio=True, search_first=True,
+           for_methods=True, search_first=True,
            source=YAVARI),
     Recipe("owdis-lines", "Which control lines to use.", select_features,
            model="poly3d", dataset="ikonos-hamedan", control="lines",
-           options=OF_FEATURES, second="n_features", portfolio=True, search_first=True,
+           options=OF_FEATURES, second="n_features", for_methods=True, search_first=True,
            source=YAVARI),
     Recipe("owdis-points-terms", "Which control points and which model terms to use.", select_both,
            model="rfm", model_options={"order": 2}, dataset="ikonos-hamedan",
-           options=OF_BOTH, portfolio=True, search_first=True,
+           options=OF_BOTH, for_methods=True, search_first=True,
            source=YAVARI),
     Recipe("owdis-lines-terms", "Which control lines and which model terms to use.", select_both,
            model="rfm", model_options={"order": 2}, dataset="ikonos-hamedan",
-           control="lines", options=OF_BOTH, portfolio=True, search_first=True,
+           control="lines", options=OF_BOTH, for_methods=True, search_first=True,
            source=YAVARI),
 )

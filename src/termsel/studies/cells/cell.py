@@ -16,7 +16,7 @@ from termsel.plugins.hookspecs import PROJECT
 from termsel.plugins.loading import canonical
 from termsel.plugins.registry import SESSION, registry
 from termsel.results.extras import Measure
-from termsel.runs.choosing import wanted
+from termsel.runs.choosing import uses_auto
 from termsel.runs.given import auto_of
 from termsel.runs.method_task import LEAST
 from termsel.runs.request import DATA_OPTIONS, Request, problem_for, request_of
@@ -241,7 +241,7 @@ class _Kinds:
         try:
             if strategy == "auto":
                 recipe = registry().taken("problems", problem.thing or problem.name)
-                wanted("auto", recipe, [f"the option {key}" for key in problem.options])
+                uses_auto("auto", recipe, [f"the option {key}" for key in problem.options])
                 method = {"criterion": "press", "solver": "all-terms"}
             named_problem = names.pop("problem")
             return _without_certificate(request_of(
