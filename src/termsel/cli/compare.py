@@ -154,9 +154,10 @@ def _keys_of(options: dict[str, Any]) -> dict[str, Any]:
     """Return the keys of a study file that options stand for."""
     lists = {"problems": "problem", "models": "model", "solvers": "solver",
              "criteria": "criterion", "methods": "method", "strategies": "strategy"}
-    keys: dict[str, Any] = {
-        key: [text.strip() for text in options[name].split(",")] for key, name in lists.items()
-        if options[name] is not None}
+    keys: dict[str, Any] = {}
+    for key, name in lists.items():
+        if options[name] is not None:
+            keys[key] = [text.strip() for text in options[name].split(",")]
     files = {kind: list(options[kind]) for kind in ("points", "lines") if options[kind]}
     if options["dataset"] is not None and files:
         raise TermselError("--dataset cannot be combined with files",

@@ -46,8 +46,10 @@ def complete(*kinds: str) -> Completer:
         from termsel.plugins.kinds import KINDS
         from termsel.plugins.registry import registry
 
-        return [CompletionItem(entry.name, help=entry.summary)
-                for kind in kinds or KINDS for entry in registry().entries(kind)
-                if entry.name.startswith(incomplete)]
+        completions: list[CompletionItem] = []
+        for kind in kinds or KINDS:
+            completions += [CompletionItem(entry.name, help=entry.summary)
+                      for entry in registry().entries(kind) if entry.name.startswith(incomplete)]
+        return completions
 
     return items

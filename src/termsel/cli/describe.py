@@ -80,7 +80,7 @@ def _lead(kind: str, entry: Entry) -> None:
     options = tuple(getattr(thing, "options" if kind == "problems" else "declared_options", ()))
     if options:
         names = ", ".join(option.name for option in options[:KEY_OPTIONS])
-        further = f", and {len(options) - KEY_OPTIONS} more" * (len(options) > KEY_OPTIONS)
+        further = f", and {len(options) - KEY_OPTIONS} more" if len(options) > KEY_OPTIONS else ""
         echo(f"Main options: {names}{further}")
     if kind in _EXAMPLES:
         lines = " --lines FILE" if getattr(thing, "control", "points") != "points" else ""
@@ -154,7 +154,7 @@ def _describe_solver(entry: Entry) -> None:
         "most terms": "all" if solver.uses_all else
                       "two thirds of the equations, as for every solver (--set max_share=1)",
         "by name": "".join(f"--set {key}={value} " for key, value in solver.published.items())
-        + "as published" * bool(solver.published)})
+        + ("as published" if solver.published else "")})
     if solver.departures:
         echo(f"\nDifferences from the paper, even with --solver {entry.name}:")
         for departure in solver.departures:

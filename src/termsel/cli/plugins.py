@@ -63,7 +63,7 @@ def plugins(as_json: bool, timed: bool) -> None:
           *([f"{seconds.get(plugin, 0.0):.3f}"] if timed else []),
           " ".join(hook.removeprefix("termsel_") for hook in plugin.hooks))
          for plugin in names.plugins])
-    slow = [plugin for plugin, clashes in seconds.items() if clashes > SLOW]
+    slow = [plugin for plugin, duration in seconds.items() if duration > SLOW]
     for plugin in slow:
         if plugin.distribution != "termsel":
             echo(f"Slow: plugin {plugin.name!r} of {plugin.distribution} {plugin.version} takes "

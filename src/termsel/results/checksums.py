@@ -44,8 +44,9 @@ def of_attributes(features: FeatureSet) -> str | None:
     It is not part of `of_features`, so that earlier versions of termsel, which leave these columns
     out, read results with attributes.
     """
-    columns = [{name: cells.tolist() for name, cells in content.attributes.items()}
-               for content in (features.points, features.lines)]
+    columns = []
+    for content in (features.points, features.lines):
+        columns.append({name: cells.tolist() for name, cells in content.attributes.items()})
     return hashlib.sha256(json.dumps(columns).encode()).hexdigest() if any(columns) else None
 
 

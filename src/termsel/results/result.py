@@ -438,7 +438,7 @@ class Result(Glance):
             if n]
         used = len(record.selection.features) + counts.check * bool(self.strategy)
         left_out_ids = [outlier.id for outlier in self.outliers if outlier.excluded]
-        title = title_of(record) + f" ({self.model})" * bool(self.strategy)
+        title = f"{title_of(record)} ({self.model})" if self.strategy else title_of(record)
         return f"Result: {title}, {counted(len(self.selection.terms), 'term')}", {
             "data": f"{self.data.source}; {', '.join(features)}",
             "fitted to": f"{used} {counts.word}" + (

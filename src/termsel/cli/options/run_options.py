@@ -221,9 +221,11 @@ class RunOptions:
         if self.out is None:
             return {}
         files = {to: self.out / f"result{writer_of(to).suffix or f'.{to}'}" for to in self.exports}
-        require_replaceable([written for to, file in files.items()
-                             for written in writer_of(to).files(file)],
-                            reads=self.reads, overwrite=self.overwrite, makes_folder=True)
+        written: list[Path] = []
+        for to, file in files.items():
+            written += writer_of(to).files(file)
+        require_replaceable(written, reads=self.reads, overwrite=self.overwrite,
+                            makes_folder=True)
         return files
 
     def page(self) -> Path | None:
@@ -263,8 +265,9 @@ class RunOptions:
                       if option.name in options} if options else {}
         arguments = {"raster": self.raster, "image_lines": self.image_lines,
                  "columns": self.columns}
-        accepted = {option.name for reader in readers_of(self.files, self.formats)
-                 for option in reader.declared_options}
+        accepted: set[str] = set()
+        for reader in readers_of(self.files, self.formats):
+            accepted |= {option.name for option in reader.declared_options}
         # Options of readers are theirs alone.
         of_readers = {key: options.pop(key) for key in list(options) if key in accepted}
         for key in of_readers:
