@@ -350,7 +350,7 @@ def of_auto(model: SensorModel, errors: FloatArray | None, *, flat: bool = False
     roles = ("control", "check") * 15
     return auto._notes(model, by_roles(FeatureSet(Points(
         tuple(f"P{i}" for i in range(30)), imaged(ground), ground, None, roles))), errors,
-        plane=False, determined=False, known=False)
+        plane=False, determined=False, has_geometry=False)
 
 
 def test_notes_of_a_choice_that_predicts_nothing() -> None:
@@ -372,5 +372,5 @@ def test_an_image_far_beyond_all_points_is_a_note_of_a_choice() -> None:
                        ("control", "check") * 15)
     features = FeatureSet(of_points, no_lines(), "local", (900, 9000))
     assert auto._notes(Affine(), by_roles(features), np.zeros((30, 2)), plane=False,
-                       determined=False, known=False) == [
+                       determined=False, has_geometry=False) == [
         OUTSIDE.format("2 of 4 corners of the image lie")]

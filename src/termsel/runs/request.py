@@ -219,8 +219,9 @@ def _named_parts(recipe: Recipe, model: Any, solver: Any, criterion: Any,
 def _several_objectives(recipe: Recipe, settings: Mapping[str, Any]) -> bool:
     """Return whether objectives are asked for that the problem's own solver cannot take."""
     names = settings.get("objectives", settings.get("problem.objectives"))
-    solver = registry().get("solvers", recipe.solver)
-    return bool(listed(names)) and solver.max_objectives == 1
+    # Solvers are loaded only where this is asked: a choice needs none.
+    return bool(listed(names)) \
+        and registry().get("solvers", recipe.solver).max_objectives == 1
 
 
 def _usual_options(recipe: Recipe, components: Mapping[str, Any], model: Any, solver: Any,

@@ -29,7 +29,7 @@ def folders_of(labels: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
         if cell["split"]:
             name += f"-split-{cell['split']}"
         for part in ("problem", "solver"):
-            if len({other[part] for other in labels_of_data[cell["data"], cell["split"]]}) > 1:
+            if len({other.get(part) for other in labels_of_data[cell["data"], cell["split"]]}) > 1:
                 name += f"-{file_word(str(cell[part]), 'image')}"
         # Capitals do not tell names apart on every disk.
         if name.casefold() in owners:
