@@ -162,7 +162,7 @@ BAD_FILES = {
             "line 7, column 'x': 'nan' is not a finite number. Correct it or remove the row."),
     "two points with one id": (
         lambda f, t: change(f, t, 9, cells(f, 9)[0] + ",", cells(f, 4)[0] + ","),
-        "line 9, column 'id': id 'P003' is already used on line 4. Give every point an id"),
+        "line 9, column 'id': id 'P003' is already used on line 4. Give every point a different id"),
     "three points for 39 terms": (
         lambda f, t: some_points(f, t, 3),
         "only 1 control point; rfm-terms needs at least 3."),
@@ -242,11 +242,12 @@ BAD_WORDS = {
                        "Invalid value for '--generations': 0 is not in the range 1<=x<="),
     "nothing to run": ([], "there is nothing to run. Give --points FILE or --lines FILE, or "),
     "off without a feature": (["--problem", "poly-terms", "--off", "P001,P999"],
-                              "unknown feature 'P999'."),
+                              "--off names the feature 'P999', which the files do not have."),
     "role of no feature": (["--problem", "poly-terms", "--role", "P999=check"],
-                           "unknown feature 'P999'."),
+                           "--role names the feature 'P999', which the files do not have."),
     "no role": (["--problem", "poly-terms", "--role", "P001=best"],
-                "role 'P001=best' is not of the form ID=ROLE. For example P07=check. Roles are "),
+                "unknown role 'best'. Known: check, control, independent, off. It stands in --role "
+                "P001=best."),
     "two roles": (["--problem", "poly-terms", "--role", "P001=check", "--off", "P001"],
                   "'P001' is given the roles off and check. Give it one role."),
     "role of a line": (["--problem", "owdis-lines", "--role", "L001=check"],

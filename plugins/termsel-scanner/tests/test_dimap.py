@@ -173,7 +173,7 @@ def test_auto_chooses_it_and_a_result_needs_no_file(tmp_path: Path) -> None:
     ("LINE_PERIOD", "PERIOD", "LINE_PERIOD is missing"), ("<X>", "<X>a", "no number"),
     ("Corrected_Attitude>", "Else>", "neither corrected"), ("PSI_Y>", "Y>", "PSI_Y is missing"),
     ("SCENE_CENTER_TIME>2008", "SCENE_CENTER_TIME>x", "no time"),
-    ("SCENE_CENTER_TIME>2008", "SCENE_CENTER_TIME>2009", "belong to the scene"),
+    ("SCENE_CENTER_TIME>2008", "SCENE_CENTER_TIME>2009", "does not cover the time of the scene"),
     ("</Dimap_Document>", "", "cannot be read"), ("DETECTOR_ID>2<", "DETECTOR_ID>1<", "in a row")])
 def test_bad_files(before: str, after: str, said: str, tmp_path: Path) -> None:
     file = written(spot(), tmp_path / "m.dim")

@@ -99,6 +99,9 @@ def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: 
         _show_status(status)
         return
     study, keys = _asked(files, options)
+    if study is not None and not study.exists():
+        raise TermselError("this file does not exist", file=study,
+                           hint="Check the name and the folder.")
     if dry_run:
         _show_plan(study, keys, workers)
         return

@@ -5,11 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from functools import cached_property, lru_cache
 
 import numpy as np
 
-from termsel.core.errors import TermselError, unknown_name
+from termsel.core.errors import TermselError, first_of, unknown_name
 from termsel.data.coordinates.crs import LOCAL
 from termsel.data.coordinates.globe import on_globe
 from termsel.data.coordinates.longitudes import without_jump
@@ -138,9 +139,11 @@ def asked_roles(off: str | None, role: str | None) -> dict[str, str]:
     pairs = [(name, "off") for name in (off or "").split(",")]
     for pair in (role or "").split(","):
         name, equals, value = pair.rpartition("=")
-        if pair.strip() and (not equals or value.strip() not in ROLES):
-            raise TermselError(f"role {pair.strip()!r} is not of the form ID=ROLE",
+        if pair.strip() and not equals:
+            raise TermselError(f"--role {pair.strip()!r} is not of the form ID=ROLE",
                                hint=f"For example P07=check. Roles are {', '.join(ROLES)}.")
+        if equals and value.strip() not in ROLES:
+            raise unknown_name("role", value.strip(), ROLES, f"It stands in --role {pair.strip()}.")
         pairs.append((name, value.strip()))
     for name, value in ((name.strip(), value) for name, value in pairs if name.strip()):
         if named.setdefault(name, value) != value:
@@ -157,7 +160,12 @@ def with_roles(features: FeatureSet, named: Mapping[str, str]) -> FeatureSet:
     lines = features.lines
     for name, role in named.items():
         if name not in features.ids:
-            raise unknown_name("feature", name, features.ids)
+            near = get_close_matches(name, features.ids, n=3)
+            raise TermselError(
+                f"{'--off' if role == 'off' else '--role'} names the feature {name!r}, which the "
+                "files do not have",
+                hint=f"Did you mean {' or '.join(map(repr, near))}?" if near else
+                f"Their ids are {first_of(features.ids)}.", name=name)
         if name in lines.features and role not in ("control", "off"):
             raise TermselError(f"{name!r} is a line and cannot have the role {role}",
                                hint="Lines are control, or off.", ids=[name])

@@ -73,7 +73,13 @@ def project_table(
         if dem is not None or height is not None:
             raise TermselError("--dem and --height require --inverse",
                                hint="Add --inverse, or remove them.")
-        ids, ground = read_ground(result, path, columns)
+        try:
+            ids, ground = read_ground(result, path, columns)
+        except TermselError as error:
+            if _has_image_positions(path, columns):
+                error.hint = ("These are image positions: add --inverse, with --dem FILE or "
+                              "--height H, for ground positions.")
+            raise
         with np.errstate(all="ignore"):
             image = result.project(ground)
         image[~np.isfinite(image)] = np.nan
@@ -144,6 +150,15 @@ def read_ground(result: Result, path: Path, columns: str = "") -> tuple[list[str
     if blank.size:
         raise table.error("the height is blank, but the model requires it", int(blank[0]), "z")
     return table.ids(), ground
+
+
+def _has_image_positions(path: Path, columns: str) -> bool:
+    """Return whether a table has line and sample."""
+    try:
+        _table(path, columns, "line", "sample")
+    except TermselError:
+        return False
+    return True
 
 
 def _table(path: Path, columns: str, *meanings: str) -> Table:

@@ -68,8 +68,8 @@ def uses_auto(strategy: str | None, recipe: Recipe, method: Sequence[str] = (), 
                                 "--problem out and add --rpc FILE.")
     if method:
         raise TermselError(
-            f"the strategy auto chooses the method itself, and {method[0]} is asked for",
-            hint="Leave one of them out; --strategy as-asked runs a method as it is.")
+            f"--strategy auto chooses the method itself, so {method[0]} cannot be given",
+            hint="Leave one of them out, or run the method with --strategy as-asked.")
     return True
 
 

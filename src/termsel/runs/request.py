@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +19,7 @@ from termsel.data.splits import Split
 from termsel.models.base import SensorModel
 from termsel.models.image_part import ImagePart
 from termsel.models.interpolating import Interpolating
+from termsel.plugins.kinds import KINDS
 from termsel.plugins.registry import registry
 from termsel.runs.blank_heights import to_leave_out
 from termsel.runs.fit_crs import FIT_CRS
@@ -181,7 +182,25 @@ def _by_parts(recipe: Recipe, components: Mapping[str, Any],
     elsewhere = {option.name for options in declared.values() for option in options}
     of_problem = [*recipe.options, *(option for option in undeclared_options(recipe)
                                      if option.name not in elsewhere)]
+    _refuse_of_others(settings, {"problem": of_problem, **declared})
     return by_part(settings, {"problem": of_problem, **declared})
+
+
+def _refuse_of_others(given: Mapping[str, Any], declared: Mapping[str, Iterable[Option]]) -> None:
+    """Refuse an option that only models, solvers or criteria have which are not used, by name."""
+    names = {option.name for options in declared.values() for option in options}
+    for key in given:
+        if key in names or "." in key:
+            continue
+        for kind in ("criteria", "models", "solvers"):
+            owners = [entry.name for entry in registry().entries(kind)
+                      if key in {option.name for option in entry.object.declared_options}]
+            if owners:
+                word = KINDS[kind].word
+                raise TermselError(
+                    f"{key!r} is an option of the {word} {' and '.join(owners[:3])}, which this "
+                    "run does not use", hint=f"Add --{word} {owners[0]}, or leave it out.",
+                    name=key)
 
 
 def problem_for(features: FeatureSet | None, dataset: str | DatasetSpec | None = None) -> str:

@@ -97,7 +97,8 @@ class Files:
         texts = {key: header.get(key) for key in ("image", "points", "lines", "rpc", "dem", "crs")}
         for key, value in texts.items():
             if value is not None and not is_name(value):
-                raise TermselError(f"{key} of this session is no name")
+                raise TermselError(f"{key} of this session is no name",
+                                   hint="Begin a new session, or restore the file.")
         size = header.get("size")
         if size is not None and not (isinstance(size, list) and len(size) == 2
                                      and all(type(n) is int and 0 < n < 2**31 for n in size)):

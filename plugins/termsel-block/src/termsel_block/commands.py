@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from termsel import TermselError
 from termsel.toolkit import remote_option
 
 _PATH = click.Path(path_type=Path)
@@ -21,15 +22,15 @@ def add_commands(cli: click.Group) -> None:
 
 @click.command("block")
 @click.argument("file", metavar="BLOCK.toml", type=_PATH)
-@click.option("--out", "folder", metavar="DIR", type=_PATH, required=True,
+@click.option("--out", "folder", metavar="DIR", type=_PATH,
               help="Folder for the block, and in it a folder for each image.")
 @click.option("--overwrite", is_flag=True, help="Replace a block that is there.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON alone on stdout.")
 @click.option("--verbose", is_flag=True, help="Print a row for each image and each blunder.")
 @click.option("--quiet", is_flag=True, help="Show no progress.")
 @remote_option
-def block(file: Path, folder: Path, overwrite: bool, as_json: bool, verbose: bool, quiet: bool,
-          ) -> None:
+def block(file: Path, folder: Path | None, overwrite: bool, as_json: bool, verbose: bool,
+          quiet: bool) -> None:
     """Adjust several images together, by their control and the ties between them.
 
     BLOCK.toml states the CRS, a table of ties id,image,line,sample, and the images. An image needs
@@ -52,6 +53,8 @@ def block(file: Path, folder: Path, overwrite: bool, as_json: bool, verbose: boo
 
     show_messages()
     read = read_block(file)
+    if folder is None:
+        raise TermselError("--out is missing", hint="Give a folder for the block: --out DIR.")
     # Minutes of adjustment are not begun for a folder that cannot be written.
     claim(folder, [image.name for image in read.images], overwrite=overwrite, reads=[
         file, *read.files])

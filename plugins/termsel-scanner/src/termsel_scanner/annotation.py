@@ -253,8 +253,8 @@ def _orbit(root: ElementTree.Element, start: float, duration: float,
     times = times[near]
     states = states[near]
     if len(times) < 2 or (np.diff(times) <= 0).any() or times[0] > 0 or times[-1] < duration:
-        raise TermselError("orbitList has no state vectors from before the first line to after "
-                           "the last one")
+        raise TermselError("the state vectors of orbitList do not cover all lines of the image",
+                           hint="Give the annotation of this image, as the agency delivers it.")
     return times, states
 
 

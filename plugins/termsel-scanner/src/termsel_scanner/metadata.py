@@ -98,7 +98,8 @@ def _read(path: Path, _changed: int) -> Metadata:
 def _from_dimap(root: ElementTree.Element, name: str) -> Metadata:
     strip = root.find("Data_Strip")
     if root.tag != "Dimap_Document" or strip is None:
-        raise TermselError("it is no DIMAP file with a Data_Strip")
+        raise TermselError("it is no DIMAP file with a Data_Strip",
+                           hint="Give METADATA.DIM of a SPOT scene of level 1A.")
     level = root.findtext(".//Scene_Source/SCENE_PROCESSING_LEVEL", "1A").strip()
     if level != "1A":
         raise TermselError(f"it is of level {level}, whose lines are no longer those of the camera")
@@ -119,7 +120,8 @@ def _from_dimap(root: ElementTree.Element, name: str) -> Metadata:
     for what, some in (("Ephemeris/Points", times), ("Satellite_Attitudes", moments)):
         # Both are interpolated between two times, and angles go straight on beyond the last ones.
         if len(some) < 2 or (np.diff(some) <= 0).any() or some[0] > ends[1] or some[-1] < ends[0]:
-            raise TermselError(f"{what} has no two times in a row that belong to the scene")
+            raise TermselError(f"{what} does not cover the time of the scene",
+                               hint="Give METADATA.DIM of this scene, as the vendor delivers it.")
     near, close = (_about(some, ends) for some in (times, moments))
     looks = _looks(strip)
     keep = np.unique(np.linspace(0, len(looks) - 1, min(NODES, len(looks))).round().astype(int))

@@ -194,7 +194,8 @@ class Categories(Named):
         object.__setattr__(self, "labels", tuple(self.labels))
         object.__setattr__(self, "choices", tuple(self.choices))
         if not self.choices:
-            raise TermselError(f"segment {self.name!r} has no choices")
+            raise TermselError(f"segment {self.name!r} has no choices",
+                               hint="Give at least one choice.")
 
     def random(self, rng: np.random.Generator, n: int) -> Genes:
         """Return uniform choices, shape (n, size)."""

@@ -308,11 +308,12 @@ def _spread(images: Sequence[ImageInput], state: State) -> float:
 def _refuse(images: Sequence[ImageInput], waiting: Sequence[int], located: BoolArray) -> None:
     """Refuse images that nothing holds, by name and with what each has."""
     named = [f"{images[i].name!r} ({len(images[i].control) // 2} control features, "
-             f"{int(located[images[i].measured.tie].sum())} ties whose places other images give)"
+             f"{int(located[images[i].measured.tie].sum())} ties whose ground positions other "
+             "images give)"
              for i in waiting[:5]]
     further = f" and {len(waiting) - 5} more" if len(waiting) > 5 else ""
     plural = "s" if len(waiting) > 1 else ""
     raise TermselError(
-        f"nothing holds the image{plural} {', '.join(named)}{further}",
+        f"the image{plural} {', '.join(named)}{further} cannot be oriented",
         hint=f"Give each an RPC, four control points ({LEAST} for a model of its sensor), or "
              f"{LEAST_TIES} ties that two images with control or RPC see.")

@@ -82,8 +82,8 @@ class MicmacXml(Reader):
             return _ground_of(root, path)
         ground = _ground_file(path) if asked is None else Path(asked)
         if not ground.is_file():
-            raise TermselError("measures say where points are in images alone", file=path,
-                               hint="Name the file of their places on the ground (Appuis), "
+            raise TermselError("the measures have image coordinates only", file=path,
+                               hint="Name the file of their ground coordinates (Appuis), "
                                     "--set ground=FILE.")
         return _ground_of(xml_root(ground, _HINT), ground)
 
