@@ -162,7 +162,8 @@ BAD_FILES = {
             "line 7, column 'x': 'nan' is not a finite number. Correct it or remove the row."),
     "two points with one id": (
         lambda f, t: change(f, t, 9, cells(f, 9)[0] + ",", cells(f, 4)[0] + ","),
-        "line 9, column 'id': id 'P003' is already used on line 4. Give every point a different id"),
+        "line 9, column 'id': id 'P003' is already used on line 4. Give every point a different "
+        "id"),
     "three points for 39 terms": (
         lambda f, t: some_points(f, t, 3),
         "only 1 control point; rfm-terms needs at least 3."),
