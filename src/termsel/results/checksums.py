@@ -44,6 +44,7 @@ def of_attributes(features: FeatureSet) -> str | None:
     It is not part of `of_features`, so that earlier versions of termsel, which leave these columns
     out, read results with attributes.
     """
+    # By name and value, points before lines, so that their order in a file does not matter.
     columns = []
     for content in (features.points, features.lines):
         columns.append({name: cells.tolist() for name, cells in content.attributes.items()})
@@ -52,6 +53,7 @@ def of_attributes(features: FeatureSet) -> str | None:
 
 def of_record(record: Mapping[str, Any]) -> str:
     """Return a checksum of the content of result.json, whatever its layout, without checksums."""
+    # Sorted keys: the layout of the file is not part of its content.
     text = json.dumps({key: value for key, value in record.items() if key != SEALS},
                       sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()

@@ -88,6 +88,7 @@ def section_of(declared: ReportSection, result: Any) -> Section:
 
 def _made(declared: ReportSection, result: Any) -> Section:
     with blamed(declared.blocks, "blocks"):
+        # A generator may have no end.
         blocks = tuple(islice(declared.blocks(result), _MOST))
         section = Section(declared.title, blocks)
         unknown = [block for block in blocks
@@ -103,6 +104,7 @@ def _made(declared: ReportSection, result: Any) -> Section:
 
 def measured(measure: Measure, result: Any) -> float | None:
     """Return the figure of a result, None where there is none; refuse what is no number."""
+    # A fault is named with its plugin; the study goes on without the figure.
     with blamed(measure.compute, "compute"):
         computed = measure.compute(result)
         value = float(computed)

@@ -230,6 +230,7 @@ class Result(Glance):
         return structs.replace(record, checksums=checksums_of(plain(record), self.features))
 
     def _content(self) -> Record:
+        # What is carried is the same in both; the rest is computed from fits and figures.
         final = self.final
         terms = self.fit.model.terms
         return Record(
@@ -256,6 +257,7 @@ class Result(Glance):
         """Return the fit of a member of the front, or of the best selection of a size."""
         observations = by_roles(self.features)
         selected = member.selection
+        # Genes of a member may have chosen other options of the model than the selection did.
         model = self.fit.model.with_parameters(selected.parameters or {})
         iterated = None if member.iterated is UNSET else member.iterated
         control = observations.control
@@ -272,6 +274,7 @@ class Result(Glance):
         size : tuple of int
             Lines and samples [px].
         """
+        # The fit knows the size as well: it bounds places on the ground.
         control = replace(self.fit.control, image_size=size)
         return replace(self, features=replace(self.features, image_size=size),
                        fit=replace(self.fit, control=control))
@@ -295,6 +298,7 @@ class Result(Glance):
                                    hint="The strategy auto makes one if there are independent "
                                         "check points. Leave --final out.")
             return self
+        # The other fit is exported, and the final one forgotten.
         if final is False:
             return replace(self, final=None, predicted_final=None)
         observations = by_roles(self.features)
@@ -415,6 +419,7 @@ class Result(Glance):
         verbose : bool
             Whether to return all of it, as summary.txt has it: every table, term and proof.
         """
+        # The first screen fits into a terminal; summary.txt has every table and proof.
         if not verbose:
             return first_screen_of(document(self.record))
         return text_of(document(self.record, further=further_sections(self)), titled=False)

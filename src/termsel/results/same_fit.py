@@ -28,6 +28,7 @@ from termsel.models.poles import guard_points, pole_margin, pole_violation
 
 def fit_record(fitted: Fit) -> FitRecord:
     """Return how the coefficients of a fit were found."""
+    # Held-out errors are those of the features it was made with, twins merged.
     original = fitted.made or fitted
     errors = None if original.stored_held_out is None else original.stored_held_out.errors
     held_out = None if errors is None else errors.tolist()
@@ -61,6 +62,7 @@ def fit_of_record(model: SensorModel, control: FeatureSet, scaling: Scaling, use
     """
     estimator = by_plugin if by_plugin is not None and by_plugin.name == how.estimator \
         else estimators.estimator(how.estimator, **how.options)
+    # As every fit does: the model then knows its place on Earth.
     model = model.prepared(scaling, control.crs)
     terms = np.array([name in coefficients for name in model.terms], dtype=bool)
     values = _by_term(model, coefficients, 0.0)
@@ -112,6 +114,7 @@ def least_squares_of(model: SensorModel, control: FeatureSet, scaling: Scaling, 
     points span. `iterated` says whether the iteration was taken, where it is known.
     """
     fitted = LeastSquares(iterated is not False).fit(model, control, scaling, terms, used)
+    # Where it is not said which, the last step is taken, or the first if the last has a pole.
     if iterated is None and has_pole(fitted, check):
         return LeastSquares(False).fit(model, control, scaling, terms, used)
     return fitted
@@ -120,6 +123,7 @@ def least_squares_of(model: SensorModel, control: FeatureSet, scaling: Scaling, 
 def has_pole(fitted: Fit, check: Points) -> bool:
     """Return whether a denominator falls short somewhere in the scene of control and check."""
     scaling = fitted.scaling
+    # Poles are looked for where a denominator may fall: at the control, check points, between.
     control = scaling.features(fitted.control)
     return bool(pole_violation(
         fitted.model, fitted.adjustment.coefficients[None],
