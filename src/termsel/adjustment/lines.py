@@ -154,14 +154,15 @@ def image_equations(features: FeatureSet, of_points: FloatArray, of_vertices: Fl
     """
     points = features.points
     lines = features.lines
-    # Each of the two vertices of a line lies on it: n'(l, s) = rho.
-    normal, rho = line_normals(lines)
-    normal = np.repeat(normal, 2, axis=0)
-    rho = np.repeat(rho, 2)
-    A = np.concatenate([of_points.reshape(2 * len(points), of_points.shape[2]),
-                        np.einsum("na,nak->nk", normal, of_vertices)])
-    constant = np.broadcast_to(at_vertices, (len(rho), 2))
-    b = np.concatenate([(points.image - at_points).ravel(),
-                        rho - np.einsum("na,na->n", normal, constant)])
+    A = of_points.reshape(2 * len(points), of_points.shape[2])
+    b = (points.image - at_points).ravel()
+    if len(lines):
+        # Each of the two vertices of a line lies on it: n'(l, s) = rho.
+        normal, rho = line_normals(lines)
+        normal = np.repeat(normal, 2, axis=0)
+        rho = np.repeat(rho, 2)
+        constant = np.broadcast_to(at_vertices, (len(rho), 2))
+        A = np.concatenate([A, np.einsum("na,nak->nk", normal, of_vertices)])
+        b = np.concatenate([b, rho - np.einsum("na,na->n", normal, constant)])
     weight = row_weights(features, heights=heights)
     return Equations(A * weight[:, None], b * weight, np.repeat(features.feature, 2))

@@ -109,12 +109,20 @@ class View:
         return np.stack([np.linalg.norm(move, axis=1) for move in moves], axis=1)
 
 
-@lru_cache(maxsize=16)
 def view_of(points: Points) -> View | None:
     """Return the central projection that scaled points call for, or None.
 
     A DLT, or a projective transformation of the plane where heights are not known or tell nothing.
     """
+    return _view_of(points.image.tobytes(), points.ground.tobytes())
+
+
+@lru_cache(maxsize=16)
+def _view_of(image: bytes, ground: bytes) -> View | None:
+    """Return the same; equal points are asked for many times, whatever else is known of them."""
+    measured = np.frombuffer(image).reshape(-1, 2)
+    points = Points(tuple(map(str, range(len(measured)))), measured,
+                    np.frombuffer(ground).reshape(-1, 3))
     if len(points) > ENOUGH:
         even = np.linspace(0, len(points) - 1, ENOUGH).astype(int)
         points = points.take(spatial_order(points.ground[:, :2])[even])

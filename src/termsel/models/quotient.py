@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 
@@ -44,6 +44,9 @@ class Blocks:
     sample_denominator: FloatArray | None = None
     shared_denominator: FloatArray | None = None
 
+
+Columns: TypeAlias = dict[str, tuple[slice, FloatArray]]
+"""Of each block the terms and their columns at some places, shape (n, columns)."""
 
 # In the order of the terms: block, and image axis and part of its terms.
 _LAYOUT = (
@@ -128,19 +131,20 @@ class RationalModel(SensorModel):
         return np.concatenate([np.full(len(names), axis, dtype=np.intp)
                                for _, _, axis, names in self._layout])
 
-    def _columns(self, ground: FloatArray) -> dict[str, tuple[slice, FloatArray]]:
+    def _columns(self, ground: FloatArray) -> Columns:
+        """Return the columns of each block at places, with which terms they are of."""
         blocks = self.blocks(ground)
         return {block: (span, np.asarray(getattr(blocks, block), dtype=np.float64))
                 for block, span, _, _ in self._layout}
 
-    def _axis_rows(self, ground: FloatArray, image: FloatArray) -> FloatArray:
-        """Return rows over all terms for line and sample, shape (n, 2, k).
+    def _axis_rows(self, columns_by_block: Columns, image: FloatArray) -> FloatArray:
+        """Return rows over all terms for line and sample of n places, shape (n, 2, k).
 
         From l (1 + d c) = n a follows n a - l d c = l: the denominator's columns enter
         multiplied by minus the image coordinate, which is measured or approximate.
         """
-        rows = np.zeros((len(ground), 2, len(self.terms)))
-        for block, (span, columns) in self._columns(ground).items():
+        rows = np.zeros((len(image), 2, len(self.terms)))
+        for block, (span, columns) in columns_by_block.items():
             if block in ("line", "line_denominator", "shared_denominator"):
                 rows[:, LINE, span] = columns if block == "line" else -image[:, :1] * columns
             if block in ("sample", "sample_denominator", "shared_denominator"):
@@ -178,8 +182,10 @@ class RationalModel(SensorModel):
             # The image of a vertex by a polynomial through the control, as its place along the line
             # is not measured.
             image = approximate_image(features, heights=self.uses_height)
-        return image_equations(features, self._axis_rows(points.ground, points.image),
-                               self._axis_rows(lines.ground.reshape(-1, 3), image),
+        vertices = lines.ground.reshape(-1, 3)
+        return image_equations(features,
+                               self._axis_rows(self._columns(points.ground), points.image),
+                               self._axis_rows(self._columns(vertices), image),
                                heights=self.uses_height)
 
     @property
@@ -198,12 +204,13 @@ class RationalModel(SensorModel):
             return None
         systems = []
         for ground in (features.points.ground, features.lines.ground.reshape(-1, 3)):
-            image = self.project(coefficients, ground)
-            below = self.denominators(coefficients, ground)
+            columns = self._columns(ground)
+            below = self._denominators(coefficients, columns)
             assert below is not None
             # With f = n a / (1 + d c): df = (n da - f d dc) / (1 + d c), and J x = f / (1 + d c).
             with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-                systems += [self._axis_rows(ground, image) / below[..., None],
+                image = self._axis_forms(coefficients, columns, "line", "sample") / below
+                systems += [self._axis_rows(columns, image) / below[..., None],
                             image - image / below]
         return image_equations(features, *systems[::2], *systems[1::2], heights=self.uses_height)
 
@@ -222,9 +229,10 @@ class RationalModel(SensorModel):
         # Rows of line and sample in turn, over all terms.
         flat = terms.shape[1]
         rows = np.ones((len(terms), len(points)), dtype=bool) if used is None else used
-        above = self._axis_rows(points.ground, np.zeros_like(points.image)).reshape(-1, flat)
+        columns = self._columns(points.ground)
+        above = self._axis_rows(columns, np.zeros_like(points.image)).reshape(-1, flat)
         # With images of -1 the denominators' columns come as they are, next to the numerators'.
-        all_columns = self._axis_rows(points.ground, -np.ones_like(points.image)).reshape(-1, flat)
+        all_columns = self._axis_rows(columns, -np.ones_like(points.image)).reshape(-1, flat)
         # Points that are not in use have no weight; each has two rows.
         weights = np.where(np.repeat(rows, 2, axis=1), weights_of(points).ravel(), 0.0)
         first = self.first_terms
@@ -252,7 +260,7 @@ class RationalModel(SensorModel):
         """Return 1 + d c for line and sample, shape (..., n, 2), or None."""
         return self._denominators(coefficients, self._columns(ground))
 
-    def _denominators(self, coefficients: FloatArray, columns: Any) -> FloatArray | None:
+    def _denominators(self, coefficients: FloatArray, columns: Columns) -> FloatArray | None:
         if not columns.keys() & {"line_denominator", "sample_denominator", "shared_denominator"}:
             return None
         # A denominator is 1 + d c, its own or that of both axes.
@@ -264,7 +272,7 @@ class RationalModel(SensorModel):
         return below
 
     @staticmethod
-    def _axis_forms(coefficients: FloatArray, columns: Any, *names: str) -> FloatArray:
+    def _axis_forms(coefficients: FloatArray, columns: Columns, *names: str) -> FloatArray:
         """Return the linear forms of a line block and a sample block, shape (..., n, 2)."""
         n = len(next(iter(columns.values()))[1])
         # One axis may have a block that the other one has not: its form is 0 there.
