@@ -28,6 +28,7 @@ from termsel.auto.local import LIKELY, asked_of, points_alone
 from termsel.auto.shrunken import Average, average, fit_of
 from termsel.auto.validated import gain_of
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points
+from termsel.data.measurements import Measurements
 from termsel.data.monomials import Exponents, graded_exponents, monomials
 from termsel.data.scaling import Scaling
 from termsel.fitting.fit import Estimator, Fit, Undetermined
@@ -108,25 +109,20 @@ def averaged(points: Points, scaling: Scaling, crs: str, exponents: Exponents) -
 
     The exponents are those of a cubic polynomial of X and Y, or of X, Y and Z.
     """
-    image, ground, sigma = (None if column is None else np.ascontiguousarray(column).tobytes()
-                            for column in (points.image, points.ground, points.sigma))
-    return _averaged(image, ground, sigma, scaling, crs, exponents)
+    return _averaged(Measurements.of(points), scaling, crs, exponents)
 
 
 @lru_cache(maxsize=2)
-def _averaged(image: bytes, ground: bytes, sigma: bytes | None, scaling: Scaling, crs: str,
+def _averaged(measurements: Measurements, scaling: Scaling, crs: str,
               exponents: Exponents) -> Averaged | None:
     """Return the same; a fit, what describes it and its spread ask for one."""
-    measured = np.frombuffer(image).reshape(-1, 2)
-    points = Points(tuple(map(str, range(len(measured)))), measured,
-                    np.frombuffer(ground).reshape(-1, 3),
-                    None if sigma is None else np.frombuffer(sigma).reshape(-1, 2))
+    points = measurements.points
     variables = 3 if any(power[2] for power in exponents) else 2
     slopes = _slopes_on_ground(points, scaling, crs)
     physical = None if slopes is None else _by_cameras(points, scaling, crs, exponents, slopes)
     if slopes is None or physical is None:
         return None
-    weights = None if sigma is None else weights_of(points)
+    weights = None if points.sigma is None else weights_of(points)
     height = scaling.ground_scale[2] * float(np.linalg.norm(slopes, axis=1).mean())
     averages = []
     shrunken = []

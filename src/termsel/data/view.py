@@ -14,6 +14,7 @@ import numpy as np
 
 from termsel.data.coordinates.places import spatial_order
 from termsel.data.features import BoolArray, FloatArray, Points
+from termsel.data.measurements import Measurements
 
 CLEARER = 0.5
 """What a central projection leaves of the image coordinates, by what an affine transformation
@@ -114,15 +115,13 @@ def view_of(points: Points) -> View | None:
 
     A DLT, or a projective transformation of the plane where heights are not known or tell nothing.
     """
-    return _view_of(points.image.tobytes(), points.ground.tobytes())
+    return _view_of(Measurements.of(points))
 
 
 @lru_cache(maxsize=16)
-def _view_of(image: bytes, ground: bytes) -> View | None:
+def _view_of(measurements: Measurements) -> View | None:
     """Return the same; equal points are asked for many times, whatever else is known of them."""
-    measured = np.frombuffer(image).reshape(-1, 2)
-    points = Points(tuple(map(str, range(len(measured)))), measured,
-                    np.frombuffer(ground).reshape(-1, 3))
+    points = measurements.points
     if len(points) > ENOUGH:
         even = np.linspace(0, len(points) - 1, ENOUGH).astype(int)
         points = points.take(spatial_order(points.ground[:, :2])[even])

@@ -53,6 +53,7 @@ from termsel.adjustment.bayesian.posterior import (
 from termsel.adjustment.bayesian.predicted_positions import predict_positions
 from termsel.adjustment.equations import weights_of
 from termsel.data.features import FloatArray, IntArray, Points
+from termsel.data.measurements import Measurements
 from termsel.data.monomials import Exponents, graded_exponents, monomials
 
 FIELD_LENGTHS = ((0.15, 0.15), (0.3, 0.3), (0.6, 0.6), (1.2, 1.2), (0.15, 1.2), (1.2, 0.15))
@@ -262,19 +263,14 @@ def fit_gaussian_process(points: Points, variables: int) -> GaussianProcess | No
     """
     if len(points) < variables + 3:
         return None
-    image, ground, sigma = (None if values is None else np.ascontiguousarray(values).tobytes()
-                            for values in (points.image, points.ground, points.sigma))
-    return _cached_gaussian_process(image, ground, sigma, variables)
+    return _cached_gaussian_process(Measurements.of(points), variables)
 
 
 @lru_cache(maxsize=1)  # of many points one takes a great part of the memory
-def _cached_gaussian_process(image: bytes, ground: bytes, sigma: bytes | None,
+def _cached_gaussian_process(measurements: Measurements,
                              variables: int) -> GaussianProcess | None:
     """Return the process of points; a fit asks for the same one many times."""
-    measured = np.frombuffer(image).reshape(-1, 2)
-    points = Points(tuple(map(str, range(len(measured)))), measured,
-                    np.frombuffer(ground).reshape(-1, 3),
-                    None if sigma is None else np.frombuffer(sigma).reshape(-1, 2))
+    points = measurements.points
     exponents = graded_exponents(FIELD_DEGREE, variables)
     order = np.array(exponents).sum(axis=1)
     shrunk = np.array(exponents)[order > 1]
@@ -282,7 +278,7 @@ def _cached_gaussian_process(image: bytes, ground: bytes, sigma: bytes | None,
     to_image = _affine_to_image(points, exponents[:variables + 1])
     positions = columns[:, :variables + 1] @ to_image
     knots = farthest_points(positions, FIELD_KNOTS)
-    weights = None if sigma is None else weights_of(points)
+    weights = None if points.sigma is None else weights_of(points)
     scales = _scales_with_field(shrunk, len(knots))
     spline_weight = _spline_weight(len(points)) if variables == 2 else 0.0
 

@@ -143,7 +143,9 @@ def _evidence_of_shared(design: Design,
     n_own = design.n_own
     if n_own == design.shrunken.shape[1]:
         return None
-    ratios, group = np.unique(design.scales[:, n_own], return_inverse=True)
+    scale_of_group = design.scales[:, n_own].tolist()
+    ratios = np.array(sorted(set(scale_of_group)))  # np.unique takes longer for few
+    group = np.searchsorted(ratios, scale_of_group)
     u, values, _ = design.shared_decomposition
     rotated = u.T @ np.concatenate([design.shrunken[:, :n_own], projections], axis=1)
     # (r, s, m)

@@ -78,7 +78,9 @@ class Design:
             for factor, new_factor in zip(stored, decomposition, strict=True):
                 factor[new] = new_factor
             is_decomposed[new] = True
-        u, values, vt = (factor[groups] for factor in stored)
+        # All of them are the arrays that are stored, in their order.
+        u, values, vt = stored if len(groups) == len(is_decomposed) else (
+            factor[groups] for factor in stored)
         return u, values, vt
 
     def unexplained_part(self, target: FloatArray) -> FloatArray:
@@ -125,12 +127,15 @@ class AxisSolutions:
 class Shrinkage:
     """What solutions do, whatever is measured, by one decomposition for each group.
 
-    Group and size (u,) are numbers, of each solution; `sizes` are all there are.
+    Group and size (u,) are numbers, of each solution, in order; `sizes` are all there are.
     """
 
     def __init__(self, design: Design, group: IntArray, size: IntArray,
                  sizes: FloatArray) -> None:
-        groups, group_index = np.unique(group, return_inverse=True)
+        # As np.unique of groups in order, without sorting.
+        is_first = np.diff(group, prepend=-1) > 0
+        groups = group[is_first]
+        group_index = np.cumsum(is_first) - 1
         first_size = int(size.min())
         last_size = int(size.max())
         # Where the solutions stand among all of these groups and sizes.

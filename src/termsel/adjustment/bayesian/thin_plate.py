@@ -29,6 +29,7 @@ from termsel.adjustment.bayesian.kernels import EIGENVALUE_JITTER, SplineColumns
 from termsel.adjustment.equations import weights_of
 from termsel.adjustment.solve import TOLERANCE
 from termsel.data.features import FloatArray, Points
+from termsel.data.measurements import Measurements
 from termsel.data.monomials import graded_exponents, monomials
 
 AFFINE_EXPONENTS = graded_exponents(1, 2)
@@ -148,19 +149,14 @@ def thin_plates(points: Points, units: tuple[float, float], smoothing: float | N
     the spline takes a mean. Without a smoothing it is chosen for each axis by the criterion, "reml"
     or "gcv". None if all points but any one do not determine an affine model with redundancy.
     """
-    image, ground, sigma = (None if values is None else np.ascontiguousarray(values).tobytes()
-                            for values in (points.image, points.ground, points.sigma))
-    return _cached_splines(image, ground, sigma, units, smoothing, criterion)
+    return _cached_splines(Measurements.of(points), units, smoothing, criterion)
 
 
 @lru_cache(maxsize=4)
-def _cached_splines(image: bytes, ground: bytes, sigma: bytes | None, units: tuple[float, float],
+def _cached_splines(measurements: Measurements, units: tuple[float, float],
                     smoothing: float | None, criterion: str) -> ThinPlates | None:
     """Return the splines of points; a fit asks for the same ones many times."""
-    measured = np.frombuffer(image).reshape(-1, 2)
-    points = Points(tuple(map(str, range(len(measured)))), measured,
-                    np.frombuffer(ground).reshape(-1, 3),
-                    None if sigma is None else np.frombuffer(sigma).reshape(-1, 2))
+    points = measurements.points
     lead = monomials(points.ground, AFFINE_EXPONENTS)
     positions = points.ground[:, :2] * units
     field_columns = SplineColumns(positions, all_knots=smoothing == 0)
@@ -173,7 +169,7 @@ def _cached_splines(image: bytes, ground: bytes, sigma: bytes | None, units: tup
         basis = _basis(lead * w[:, None], positions, w, field_columns)
         if basis is None:
             return None
-        axes += _axes(basis, measured[:, columns] * w[:, None], smoothings, criterion)
+        axes += _axes(basis, points.image[:, columns] * w[:, None], smoothings, criterion)
     return ThinPlates(points, units, smoothings, (axes[0], axes[1]), field_columns)
 
 
