@@ -12,7 +12,7 @@ import click
 import pytest
 
 from termsel.cli.main import cli
-from termsel.io.read import READ_OPTIONS
+from termsel.io.read import read_options
 from termsel.plugins.commands import COMMANDS
 from termsel.plugins.kinds import KINDS
 from termsel.plugins.registry import registry
@@ -30,8 +30,8 @@ TABLES = {"problem": ("problems",), "model": ("models", "methods"), "solver": ("
           "format": ("readers", "writers")}
 MADE = {"dlt-demo", "line-demo", "demo"}
 """What pages make themselves."""
-SCRIPTS = {"--cases", "--first", "--runs"}
-"""Options of benchmarks and of the fuzz suite."""
+SCRIPTS = {"--cases", "--first", "--names", "--runs", "--seconds"}
+"""Options of benchmarks, of the walks and of the fuzz suite."""
 OTHERS = {"case-2", "case-3", "date-released", "deap-script", "gdal-polynomial", "owdis-block",
           "pymoo-script", "scikit-learn", "start-1", "start-4", "vendor-rpc"}
 """What has the form of a name and is none: clauses, keys of other files, ids, and what benchmark
@@ -48,7 +48,7 @@ def options() -> dict[str, tuple[str, ...]]:
     """Return all options by name, with their choices."""
     found: dict[str, tuple[str, ...]] = {
         option.name: tuple(map(str, option.choices or ()))
-        for option in (*DATA_OPTIONS, *SEARCH_OPTIONS, *READ_OPTIONS)}
+        for option in (*DATA_OPTIONS, *SEARCH_OPTIONS, *read_options())}
     for kind in KINDS:
         for entry in registry().entries(kind):
             declared = entry.object.options if kind == "problems" else getattr(
