@@ -201,26 +201,6 @@ def test_one_point_of_ones_own_corrects_a_shift(given: str, tmp_path: Path) -> N
     np.testing.assert_allclose(again.project(place), result.fit.project(place), atol=1e-6)
 
 
-@pytest.mark.parametrize("count", [1, 3])
-def test_what_few_points_promise_holds(count: int, tmp_path: Path) -> None:
-    file = written(tmp_path / "a.xml", ground=True)
-    model = Radar(metadata=str(file))
-    within = []
-    for seed in range(40):
-        rng = np.random.default_rng(seed)
-        places = places_seen(count + 15, seed=seed)
-        truth = model.unshifted(places) + rng.normal(0.0, 1.0, 2)
-        measured = truth[:count] + rng.normal(0.0, 0.5, (count, 2))
-        points = termsel.Points(
-            tuple("ABC"[:count]), measured, places[:count],
-            attributes={"sensor": np.array([str(file)] * count, dtype=object)})
-        fitted = termsel.fit(termsel.FeatureSet(points, crs="EPSG:4979",
-                                                image_size=(LINES, SAMPLES)), "named-radar")
-        error = np.abs(fitted.project(places[count:]) - truth[count:])
-        within.append((error < 1.645 * fitted.sigma(places[count:])).mean())
-    assert 0.84 <= np.mean(within) <= 0.96
-
-
 def test_the_rpc_of_a_radar_holds_over_the_heights_that_are_asked_for(
         tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     result = termsel.run(features=product(tmp_path, [("s3", "vv")], kind="slc"))

@@ -34,6 +34,10 @@ EPOCH = datetime(2000, 1, 1)
 ORBIT_MARGIN = 60.0
 """Time before and after the image of which state vectors are kept [s]."""
 
+TIMED = 1e-5
+"""Largest part of the times of a lattice that the delay of echoes does not explain [s]: they are
+rounded to 1e-6 s."""
+
 LATTICE = "geolocationGrid/geolocationGridPointList/geolocationGridPoint"
 
 HEAD = 4096
@@ -88,6 +92,7 @@ class Annotation:
     bursts: tuple[Burst, ...]  # empty but for TOPS images in slant range
     lines_per_burst: int
     area: tuple[tuple[float, ...], ...] = ()  # least and largest longitude, latitude, height
+    middle_range_time: float | None = None  # two-way time of echoes that lines are timed for [s]
 
     def text(self) -> str:
         """Return all as JSON, from which `annotation_of` reads it again."""
@@ -211,6 +216,7 @@ def _from_xml(root: ElementTree.Element, name: str) -> Annotation:
         root, "generalAnnotation/productInformation/projection").lower()
     ground_ranges = _ground_ranges(root, start) if in_ground_range else ()
     lines_per_burst = int(float(root.findtext("swathTiming/linesPerBurst") or 0))
+    bursts = () if in_ground_range else _bursts(root, start, lines_per_burst)
     parts = [mission, *((root.findtext(f"adsHeader/{key}") or "").strip()
                         for key in ("swath", "productType", "polarisation"))]
     return Annotation(
@@ -222,8 +228,34 @@ def _from_xml(root: ElementTree.Element, name: str) -> Annotation:
         sampling_rate=_number(root, "generalAnnotation/productInformation/rangeSamplingRate"),
         times=_nested(times), positions=_nested(states[:, :3]),
         velocities=_nested(states[:, 3:]), ground_ranges=ground_ranges,
-        bursts=() if in_ground_range else _bursts(root, start, lines_per_burst),
-        lines_per_burst=lines_per_burst, area=_area(root))
+        bursts=bursts, lines_per_burst=lines_per_burst, area=_area(root),
+        middle_range_time=_middle_range_time(root, start, interval, bursts))
+
+
+def _middle_range_time(root: ElementTree.Element, start: float, interval: float,
+                       bursts: tuple[Burst, ...]) -> float | None:
+    """Return the two-way time of echoes [s] that arrive when the lines of the image say.
+
+    A processor counts the lines by when the echoes from the middle of the swath arrive. Others
+    were sent at another time: a place in two-way time r is at zero Doppler (r - middle) / 2 after
+    the time of its line. The lattice states line, r and the time of zero Doppler of its points.
+    None where it does not, or follows another rule.
+    """
+    points = root.findall(LATTICE)
+    names = ("line", "slantRangeTime", "azimuthTime")
+    if not points or any(point.find(name) is None for point in points for name in names):
+        return None
+    lines = np.array([_number(point, "line") for point in points])
+    range_times = np.array([_number(point, "slantRangeTime") for point in points])
+    times = np.array([_time(_text(point, "azimuthTime")) - start for point in points])
+    origins = bursts or (Burst(time=0.0, line=0),)
+    number = np.searchsorted([burst.line for burst in origins], lines, side="right") - 1
+    first_lines = np.array([burst.line for burst in origins])[number]
+    first_times = np.array([burst.time for burst in origins])[number]
+    of_lines = first_times + (lines - first_lines) * interval
+    middles = range_times - 2.0 * (times - of_lines)
+    middle = float(np.median(middles))
+    return round(middle, 7) if np.abs(middles - middle).max() < 2.0 * TIMED else None
 
 
 def _area(root: ElementTree.Element) -> tuple[tuple[float, ...], ...]:

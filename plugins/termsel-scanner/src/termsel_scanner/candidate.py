@@ -19,8 +19,8 @@ from termsel_scanner.tracked import SUFFIXES, TrackedScanner
 COLUMN = "sensor"
 """Column of a table of points that names the sensor."""
 
-BURST = "burst"
-"""Column that names the burst of a radar image that is made of several."""
+OF_RADAR = ("burst", "bistatic")
+"""Columns that say which options a radar has."""
 
 CAMERAS = ("frame", "panoramic")
 """What the column says of photos, which are no scanners' images."""
@@ -152,11 +152,12 @@ def names_annotation(named: str) -> bool:
 
 
 def _radar(control: FitData) -> Radar:
-    """Return the radar that the points name, with the burst if they name one."""
-    bursts = set(control.features.points.attributes.get(BURST, ()))
+    """Return the radar that the points name, with the options that all of them have."""
     options: dict[str, Any] = {}
-    if len(bursts) == 1 and (burst := str(bursts.pop()).strip()):
-        options["burst"] = burst
+    for name in OF_RADAR:
+        values = set(control.features.points.attributes.get(name, ()))
+        if len(values) == 1 and (value := str(values.pop()).strip()):
+            options[name] = value
     return Radar(metadata=sensor_of(control), **options)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -11,14 +12,13 @@ from termsel import FeatureSet, Option, Points, Reader, TermselError, open_raste
 from termsel_scanner.annotation import (
     Annotation,
     FloatArray,
-    LatticePoint,
     annotation_file,
     annotation_of,
     is_annotation,
     lattice_of,
 )
 from termsel_scanner.product import HINT, Image, chosen, images_of, is_image
-from termsel_scanner.radar import Radar
+from termsel_scanner.radar import BISTATIC, Radar
 
 log = logging.getLogger(__name__)
 
@@ -49,7 +49,8 @@ class SentinelLattice(Reader):
         Option("polarisation", None, "Polarisation of a product that has several, such as VV."),
         Option("burst", None, "Number of the burst, from 1, of an SLC image of the modes IW and "
                               "EW; lines are those of the whole image.",
-               type=int, minimum=1, maximum=1000))
+               type=int, minimum=1, maximum=1000),
+        BISTATIC)
 
     def sniff(self, path: Path, head: bytes) -> bool:
         """Return True for an annotation, a product's folder or zip, or an image of one."""
@@ -67,13 +68,14 @@ class SentinelLattice(Reader):
         if images:
             _say_choice(chosen(images, path, swath, polarisation))
         annotation = annotation_of(str(file))
-        burst = self.options["burst"]
+        columns = {"bistatic": "true"} if self.options["bistatic"] else {}
+        if self.options["burst"] is not None:
+            columns["burst"] = str(self.options["burst"])
+            return _of_burst(annotation, file, columns)
         points = lattice_of(file)
-        if burst is not None:
-            return _of_burst(annotation, points, file, burst)
         image = np.array([[point.line, point.sample] for point in points])
         ground = np.array([[point.longitude, point.latitude, point.height] for point in points])
-        return _features(annotation, image, ground, str(file))
+        return _features(annotation, image, ground, str(file), columns)
 
     def _of_tags(self, path: Path) -> FeatureSet:
         """Return the points in the tags of an image, counted from the centre of the first pixel."""
@@ -110,26 +112,26 @@ def _names(image: FloatArray) -> tuple[str, ...]:
 
 
 def _features(annotation: Annotation, image: FloatArray, ground: FloatArray, sensor: str,
-              **columns: str) -> FeatureSet:
-    """Return points that name the annotation, and what else is given."""
+              columns: Mapping[str, str]) -> FeatureSet:
+    """Return points that name the annotation, and the options of its radar as columns."""
     attributes = {name: np.array([value] * len(image), dtype=object)
                   for name, value in {"sensor": sensor, **columns}.items()}
     return FeatureSet(Points(_names(image), image, ground, attributes=attributes),
                       crs="EPSG:4979", image_size=annotation.size)
 
 
-def _of_burst(annotation: Annotation, points: tuple[LatticePoint, ...], file: Path, burst: int,
-              ) -> FeatureSet:
+def _of_burst(annotation: Annotation, file: Path, options: Mapping[str, str]) -> FeatureSet:
     """Return a lattice over one burst, computed by its radar at the heights of the product's.
 
     The product's own has a line for each burst, on which bursts overlap.
     """
-    radar = Radar(metadata=str(file), burst=burst)
-    first = annotation.bursts[burst - 1].line
+    radar = Radar(metadata=str(file), **options)
+    points = lattice_of(file)
+    first = annotation.bursts[radar.options["burst"] - 1].line
     lines = np.linspace(first, first + annotation.lines_per_burst - 1, ACROSS).round()
     samples = np.unique([point.sample for point in points])
     image = np.stack(np.meshgrid(lines, samples, indexing="ij"), axis=-1).reshape(-1, 2)
     ground = radar.on_ground(image, np.array([
         [point.longitude, point.latitude, point.height] for point in points]))
     seen = np.isfinite(ground).all(axis=1)
-    return _features(annotation, image[seen], ground[seen], str(file), burst=str(burst))
+    return _features(annotation, image[seen], ground[seen], str(file), options)

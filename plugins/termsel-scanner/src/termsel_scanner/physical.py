@@ -34,9 +34,12 @@ BoolArray = NDArray[np.bool_]
 NOISE = 0.7
 """Standard deviation of a measurement, by which priors are weighed, where none is stated [px]."""
 
-USUAL, EXPERIENCE = 0.5, 2.0
-"""Usual standard deviation of a measurement [px], and the degrees of freedom that it counts as
-where residuals are few."""
+USUAL, EXPERIENCE, STATED = 0.55, 2.0, 20.0
+"""Usual standard deviation of a measurement [px], the degrees of freedom that it counts as where
+residuals are few, and those of one that is stated."""
+
+INTERVAL = 0.95
+"""Share of errors below the upper end of an interval of 90 %."""
 
 OF_LATTICE = 1.0
 """Distance of points from where metadata see them, up to which they are a lattice that was computed
@@ -306,16 +309,23 @@ class ShiftFit(RobustFit):
                       np.zeros((*shape, len(fitted.model.terms))))
 
     def noise(self, fitted: Fit) -> float:
-        """Return the scaled standard deviation of a measurement, from residuals and experience.
+        """Return the scaled noise of measurements by which normal intervals hold.
 
-        The mean of both squares, weighed by degrees of freedom.
+        Its square is the mean of the squares that residuals tell and that are usual, weighed by
+        degrees of freedom. Where these are few the noise may be another: 90 % of errors are within
+        Student's t times it. It is widened so that they are within the normal quantile.
         """
+        from scipy.special import ndtri, stdtrit  # other models need not import it
+
         points = fitted.control.take(fitted.used).points
         usual = USUAL if points.sigma is None else float(np.median(points.sigma))
         usual /= fitted.scaling.image_scale
-        freedom = max(2 * len(points) - fitted.effective, 0.0)
-        squares = EXPERIENCE * usual**2 + freedom * fitted.adjustment.sigma0**2
-        return float(np.sqrt(squares / (EXPERIENCE + freedom)))
+        experience = EXPERIENCE if points.sigma is None else STATED
+        residual_freedom = max(2 * len(points) - fitted.effective, 0.0)
+        freedom = experience + residual_freedom
+        squares = experience * usual**2 + residual_freedom * fitted.adjustment.sigma0**2
+        widened = stdtrit(freedom, INTERVAL) / ndtri(INTERVAL)
+        return float(np.sqrt(squares / freedom) * widened)
 
 
 def as_stated(ready: Physical, control: FitData) -> FloatArray | None:
