@@ -323,21 +323,126 @@ def test_text_keeps_every_digit(rpc: Rpc) -> None:
 
 
 OTHER_FORMS = {
-    "METADATA.XML": ("<level_X><specific><RPC><bandID number='1'><ROW_OFF>511.5</ROW_OFF><COL_OFF>"
-                     "499</COL_OFF><LAT_OFF>48</LAT_OFF></bandID></RPC></specific></level_X>",
-                     "an RPC for each band, as EnMAP"),
-    "JAX_004.json": ('{"img": "JAX_004.tif", "rpc": {"rowOffset": 1, "colNum": [1, 2]}}', "JSON"),
-    "rpc_param.yaml": ("qb2.tif:\n  cam_type: rpc\n  rpc:\n    height_off: 14\n    line_off: 4\n",
-                       "YAML, such as Orthority"),
-    "scene.geom": ("line_den_coeff_00:  1\nlat_off:  30.2\n", "another one than these")}
+    "METADATA.XML": "<level_X><specific><RPC><bandID number='1'><ROW_OFF>511.5</ROW_OFF><COL_OFF>"
+                    "499</COL_OFF><LAT_OFF>48</LAT_OFF></bandID></RPC></specific></level_X>",
+    "JAX_004.json": '{"img": "JAX_004.tif", "rpc": {"rowOffset": 1, "colNum": [1, 2]}}',
+    "rpc_param.yaml": "qb2.tif:\n  cam_type: rpc\n  rpc:\n    height_off: 14\n    line_off: 4\n",
+    "scene.geom": "line_den_coeff_00:  1\nlat_off:  30.2\n"}
 
 
 @pytest.mark.parametrize("name", OTHER_FORMS)
 def test_an_rpc_in_a_form_that_is_not_read_is_not_denied(name: str, tmp_path: Path) -> None:
-    text, form = OTHER_FORMS[name]
     path = tmp_path / name
-    path.write_text(text)
-    with pytest.raises(TermselError, match=f"does not read: {form}") as caught:
+    path.write_text(OTHER_FORMS[name])
+    with pytest.raises(TermselError, match="in a form that termsel does not read") as caught:
         read_rpc(path)
     assert "has no RPC" not in str(caught.value)
     assert "_RPC.TXT" in str(caught.value)
+
+
+def some_rpc(line: float = 500.0) -> Rpc:
+    rng = np.random.default_rng(3)
+    numerators = rng.normal(0.0, 1e-4, (2, 20))
+    numerators[0, 2] = -1.0
+    numerators[1, 1] = 1.0
+    denominators = rng.normal(0.0, 1e-6, (2, 20))
+    denominators[:, 0] = 1.0
+    (a, c), (b, d) = numerators.tolist(), denominators.tolist()
+    return Rpc((line, 400.25), (510.0, 410.0), (11.0, 48.0, 600.0), (0.2, 0.15, 500.0),
+               tuple(a), tuple(b), tuple(c), tuple(d))
+
+
+def named_numbers(rpc: Rpc, words: dict[str, str], *, numbered: str = "") -> dict[str, object]:
+    """Return the numbers of an RPC by the names of another program."""
+    items = rpc_items(rpc)
+    found: dict[str, object] = {}
+    for name, word in words.items():
+        numbers = [float(text) for text in items[name].split()]
+        if numbered and len(numbers) > 1:
+            found |= {f"{word}{numbered}{i}": number for i, number in enumerate(numbers, 1)}
+        else:
+            found[word] = numbers if len(numbers) > 1 else numbers[0]
+    return found
+
+
+GDAL_NAMES = [name for name in rpc_items(some_rpc()) if not name.startswith("ERR")]
+ROWS = {name: name.replace("LINE", "ROW").replace("SAMP", "COL").replace("COEFF", "COEF")
+        for name in GDAL_NAMES}
+RPCM = {name: name.lower().replace("line", "row").replace("samp", "col").replace("_coeff", "")
+        .replace("_off", "_offset").replace("long", "lon").replace("height", "alt")
+        for name in GDAL_NAMES}
+VISSAT = {name: (head := word.split("_"))[0] + "".join(part.capitalize() for part in head[1:])
+          for name, word in RPCM.items()}
+
+
+def enmap(*lines: float) -> str:
+    bands = "".join(
+        f"<bandID number='{number}'>" + "".join(
+            f"<{name}>{value!r}</{name}>" for name, value in named_numbers(
+                some_rpc(line), ROWS, numbered="_").items()) + "</bandID>"
+        for number, line in enumerate(lines, 1))
+    return (f"<level_X><product><navigation><RPC>{bands}</RPC></navigation></product>"
+            "<specific><bandCharacterisation><bandID number='1'><GainOfBand>1</GainOfBand></bandID>"
+            "</bandCharacterisation></specific></level_X>")
+
+
+def orthority(*names: str) -> str:
+    numbers = named_numbers(some_rpc(), {name: name.lower() for name in GDAL_NAMES})
+    text = "# RPC parameters\n"
+    for name in names:
+        text += f"{name}:\n    im_size: [990, 1650]\n    rpc:\n"
+        for key, value in numbers.items():
+            cells = str(value)
+            middle = cells.find(", ", len(cells) // 2)
+            if middle > 0:
+                cells = f"{cells[:middle + 1]}\n            {cells[middle + 2:]}"
+            text += f"        {key}: {cells}\n"
+    return text
+
+
+NESTED = {
+    "METADATA.XML": enmap(500.0),
+    "JAX_004.json": json.dumps({"img": "JAX_004.tif", "width": 2048, "rpc": named_numbers(
+        some_rpc(), RPCM)}),
+    "metas.json": json.dumps({"a.tif": {"rpc": named_numbers(some_rpc(), VISSAT)}}),
+    "gdal.json": json.dumps(rpc_items(some_rpc())),
+    "rpc_param.yaml": orthority("qb2_basic1b.tif")}
+
+
+@pytest.mark.parametrize("name", NESTED)
+def test_nested_files_are_read(name: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    path.write_text(NESTED[name])
+    assert replace(read_rpc(path), source="") == replace(some_rpc(), source="")
+
+
+def test_of_an_rpc_a_band_that_in_the_middle_is_taken_and_said(
+        tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = tmp_path / "METADATA.XML"
+    path.write_text(enmap(500.0, 500.25, 500.75))
+    assert read_rpc(path).image_offset[0] == 500.25
+    assert "an RPC for each of 3 bands. That of band 2 is taken" in caplog.text
+    assert "up to 0.5 px" in caplog.text
+    assert read_rpc(f"{path}#3").image_offset[0] == 500.75
+    with pytest.raises(TermselError, match="no RPC of '9', but of the bands 1, 2, 3"):
+        read_rpc(f"{path}#9")
+
+
+def test_of_rpcs_of_several_images_one_must_be_named(tmp_path: Path) -> None:
+    path = tmp_path / "rpc_param.yaml"
+    path.write_text(orthority("a.tif", "b.tif"))
+    with pytest.raises(TermselError, match=r"RPCs of the images a\.tif, b\.tif") as caught:
+        read_rpc(path)
+    assert "FILE#a.tif" in str(caught.value)
+    assert read_rpc(f"{path}#b.tif").image_offset == (500.0, 400.25)
+
+
+def test_an_rpc_in_the_tags_of_each_band_is_read(tmp_path: Path) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    path = tmp_path / "a.tif"
+    with rasterio.open(path, "w", driver="GTiff", width=20, height=10, count=2,
+                       dtype="uint8") as raster:
+        for band, line in ((1, 500.0), (2, 501.0)):
+            raster.update_tags(band, **rpc_items(some_rpc(line)))
+    assert read_rpc(path).image_offset[0] == 501.0
+    assert read_rpc(f"{path}#1").image_offset[0] == 500.0

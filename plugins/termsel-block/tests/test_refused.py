@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 pytest.importorskip("termsel_block", reason="termsel-block is not installed: "
                     "pip install -e plugins/termsel-block")
 
-from termsel import TermselError
+from termsel import TermselError, read
 from termsel.testing import invoke
 from termsel_block.example import write_example
 from termsel_block.files.block_file import read_block
@@ -61,6 +62,43 @@ def test_what_is_wrong_is_said_and_nothing_written(
     assert message in done.output
     assert "Traceback" not in done.output
     assert not (folder / "new").exists()
+
+
+@pytest.fixture
+def with_list(folder: Path, tmp_path: Path) -> Path:
+    """A block whose control of all images is one list of OpenDroneMap."""
+    pytest.importorskip("termsel_formats")
+    rows = ["EPSG:4979"]
+    for name in "AB":
+        points = read(folder / f"{name}_points.csv", crs="EPSG:4979").points
+        rows += [f"{x!r} {y!r} {z!r} {sample!r} {line!r} {name}.tif {point}"
+                 for point, (line, sample), (x, y, z) in zip(
+                     points.ids, points.image.tolist(), points.ground.tolist(), strict=True)]
+    (tmp_path / "gcp_list.txt").write_text("\n".join(rows))
+    for file in folder.iterdir():
+        if file.is_file():
+            (tmp_path / file.name).write_bytes(file.read_bytes())
+    stated = (folder / "block.toml").read_text()
+    for name in "AB":
+        stated = stated.replace(f"{name}_points.csv", "gcp_list.txt")
+    (tmp_path / "block.toml").write_text(stated)
+    return tmp_path / "block.toml"
+
+
+def test_a_list_of_several_images_is_the_control_of_each(folder: Path, with_list: Path) -> None:
+    of_tables = read_block(folder / "block.toml")
+    for image, expected in zip(read_block(with_list).images, of_tables.images, strict=True):
+        if expected.features is not None:
+            assert image.features is not None
+            np.testing.assert_array_equal(image.features.points.image,
+                                          expected.features.points.image)
+
+
+def test_an_image_that_a_list_has_no_points_of_is_named(with_list: Path) -> None:
+    text = with_list.read_text().replace("C_points.csv", "gcp_list.txt")
+    with_list.write_text(text)
+    with pytest.raises(TermselError, match=r"such as A\.tif, B\.tif, and none of 'C'"):
+        read_block(with_list)
 
 
 @pytest.mark.parametrize(("name", "content"), [

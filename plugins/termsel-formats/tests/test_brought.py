@@ -266,17 +266,39 @@ def test_blunders_stay_out_and_are_named(name: str, checked: Result, tmp_path: P
     assert [outlier.id for outlier in checked.outliers] == ["P7"]
     termsel.export(checked, name, tmp_path / file)
     assert "Left out: P7 (blunder of" in caplog.text
-    read = termsel.read(tmp_path / file, format=name, crs=crs or None).points
+    # The format is told by the content.
+    read = termsel.read(tmp_path / file, crs=crs or None).points
     assert len(read) == (17 if name == "micmac-xml" else 23)
     known = checked.features.points.image[7]
     assert np.abs(read.image - known).max(axis=1).min() > 1.0
     if name == "odm-gcp-list":
         assert sum(role == "independent" for role in read.roles) == 6
         assert sum(one.startswith("CHK-") for one in read.ids) == 6
+        assert "take them as control" in caplog.text
+        termsel.export(checked, name, tmp_path / "control.txt", check_points="false")
+        assert len(termsel.read(tmp_path / "control.txt").points) == 17
     if name == "asp-gcp":
         assert read.sigma is not None
+        assert set(read.ids) == {f"P{number}" for number in range(24)} - {"P7"}
         text = (tmp_path / file).read_text()
         assert sum(" 10000.0 10000.0 10000.0 " in row for row in text.splitlines()) == 6
+        # bundle_adjust reads ids as whole numbers, and leaves out other rows.
+        assert all(row.split()[0].isdecimal() for row in text.splitlines() if row[0] != "#")
+
+
+def test_check_points_alone_are_no_control_of_micmac(tmp_path: Path) -> None:
+    result = fitted(independent=True)
+    is_check = np.array([residual.role == "independent" for residual in result.residuals])
+    names = {residual.id for residual, check in zip(result.residuals, is_check, strict=True)
+             if check}
+    points = result.features.points
+    ground = points.ground.copy()
+    ground[[name not in names for name in points.ids], 2] = np.nan
+    checks = replace(result, features=replace(result.features, points=replace(
+        points, ground=ground)))
+    with pytest.raises(TermselError, match="independent check points"):
+        termsel.export(checks, "micmac-xml", tmp_path / "a.xml")
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_file_without_points_is_not_written(tmp_path: Path) -> None:

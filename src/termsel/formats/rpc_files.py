@@ -1,7 +1,8 @@
-"""Read RPCs: RPB, _RPC.TXT, DIMAP and DigitalGlobe XML, VRT, and any raster GDAL knows."""
+"""Read RPCs: RPB, _RPC.TXT, XML, JSON, YAML, VRT, and any raster GDAL knows."""
 
 from __future__ import annotations
 
+import logging
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -15,7 +16,18 @@ from termsel.data.features import FeatureSet
 from termsel.data.rasters import open_raster
 from termsel.data.rpc import N_COEFFICIENTS, Rpc
 from termsel.formats.base import is_utf16, located, read_data, read_head, read_text
+from termsel.formats.rpc_forms import (
+    Items,
+    largest_difference,
+    rpc_of_tags,
+    rpcs_of_tree,
+    rpcs_of_xml,
+    tree_of_json,
+    tree_of_yaml,
+)
 from termsel.models.image_part import ImagePart
+
+log = logging.getLogger(__name__)
 
 RPB_NAMES = {
     "LINE_OFF": "lineOffset", "SAMP_OFF": "sampOffset", "LAT_OFF": "latOffset",
@@ -28,8 +40,11 @@ RPB_NAMES = {
 
 ERROR_NAMES = {"ERR_BIAS": "errBias", "ERR_RAND": "errRand"}
 
-KNOWN = ("RPB, _RPC.TXT, DIMAP XML, DigitalGlobe XML, VRT or .aux.xml with an RPC domain, or an "
-         "image that has an RPC")
+KNOWN = ("RPB, _RPC.TXT, DIMAP XML, DigitalGlobe XML, EnMAP XML, JSON of rpcm or of the Data "
+         "Fusion Contest 2019, Orthority YAML, VRT or .aux.xml with an RPC domain, or an image "
+         "that has an RPC")
+
+_LISTED = 8  # names in a message
 
 _NAME = re.compile(r"^[ \t]*(\w+)[ \t]*[:=][ \t]*", re.MULTILINE)
 _ENCODING = re.compile(rb"""encoding\s*=\s*["']([\w.:-]+)""")
@@ -43,8 +58,10 @@ def read_rpc(path: Path | str) -> Rpc:
     Parameters
     ----------
     path : path-like
-        RPB, _RPC.TXT, DIMAP version 1 to 3, DigitalGlobe XML, VRT or PAM (.aux.xml), or an
-        image with an RPC in its tags or in a file next to it, which GDAL reads (extra `gis`).
+        RPB, _RPC.TXT, DIMAP version 1 to 3, DigitalGlobe or EnMAP XML, JSON of rpcm, YAML of
+        Orthority, VRT or PAM (.aux.xml), or an image with an RPC in its tags or in a file next to
+        it, which GDAL reads (extra `gis`). Of a file with several RPCs, FILE#NAME is that of a
+        band or an image; of several bands that in the middle is taken else.
 
     Returns
     -------
@@ -53,7 +70,8 @@ def read_rpc(path: Path | str) -> Rpc:
     Raises
     ------
     TermselError
-        If the file is in none of these formats, lacks an item, or has one that is not a number.
+        If the file is in none of these formats, lacks an item, or has one that is not a number; if
+        it has the RPCs of several images, and none is named.
 
     Examples
     --------
@@ -67,12 +85,20 @@ def read_rpc(path: Path | str) -> Rpc:
     >>> rpc.project([[48.5, 34.8, 1850.0]]).shape
     (1, 2)
     """
-    path = Path(path)
+    path, name = _named_part(Path(path))
     head = read_head(path, f"Expected {KNOWN}.")
     try:
-        return replace(_read(path, head), source=path.name)
+        return replace(_read(path, head, name), source=path.name)
     except TermselError as error:
         raise (error if error.file is not None else located(error, path)) from error
+
+
+def _named_part(path: Path) -> tuple[Path, str]:
+    """Return the file of FILE#NAME, and the name; a file that is there has the name as it is."""
+    stem, sign, name = path.name.rpartition("#")
+    if not sign or not stem or path.exists():
+        return path, ""
+    return path.with_name(stem), name
 
 
 def has_rpc(image: Path | str) -> bool:
@@ -85,10 +111,11 @@ def size_with_rpc(rpc: Any) -> tuple[int, int] | None:
     """Return lines and samples of the image that is the file of its RPC, if it is one."""
     if not isinstance(rpc, Path | str):
         return None
-    head = read_head(Path(rpc), "")
+    path, _ = _named_part(Path(rpc))
+    head = read_head(path, "")
     if b"\0" not in head or is_utf16(head):
         return None
-    with open_raster(rpc) as raster:
+    with open_raster(path) as raster:
         return int(raster.height), int(raster.width)
 
 
@@ -100,24 +127,23 @@ def with_rpc(features: FeatureSet, rpc: Rpc | Path | str,
     """
     if isinstance(rpc, Rpc):
         return replace(features, rpc=rpc if part is None else part.rpc(rpc))
-    path = Path(rpc)
+    path, _ = _named_part(Path(rpc))
     size = features.image_size
-    found = read_rpc(path)
+    found = read_rpc(rpc)
     if part is not None:
         return replace(features, rpc=part.rpc(found))
     return replace(features, rpc=found, image_size=size or size_with_rpc(path))
 
 
-def _read(path: Path, head: bytes) -> Rpc:
+def _read(path: Path, head: bytes, part: str) -> Rpc:
     if b"\0" in head and not is_utf16(head):
-        with open_raster(path) as raster:
-            items: dict[str, str] = raster.tags(ns="RPC")
-        if not items:
+        items, of_bands = _in_image(path)
+        if not items and not of_bands:
             raise TermselError("this image has no RPC that GDAL finds", file=path,
                                hint=f"Expected {KNOWN}.")
-        return from_items(items)
+        return from_items(items) if items and not part else _of_several(of_bands, part, bands=True)
     if head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"<"):
-        return _from_xml(path)
+        return _from_xml(path, part)
     text = read_text(path)
     entries = {name: (value, line) for name, value, line in _entries(text)}
     own = {rpb: name for name, rpb in (RPB_NAMES | ERROR_NAMES).items()}
@@ -128,9 +154,45 @@ def _read(path: Path, head: bytes) -> Rpc:
             for number in (_NUMBERS.findall(value) if "(" in value else value.split()[:1]):
                 _number(number, name, line)
             items[item] = value
-    if not items.keys() & (RPB_NAMES.keys() | {"LINE_NUM_COEFF_1"}):
+    if items.keys() & (RPB_NAMES.keys() | {"LINE_NUM_COEFF_1"}):
+        return from_items(items)
+    is_json = text.lstrip()[:1] in ("{", "[")
+    nested = rpcs_of_tree(tree_of_json(text) if is_json else tree_of_yaml(text))
+    if not nested:
         raise _in_no_known_form(path, text)
-    return from_items(items)
+    return _of_several(nested, part)
+
+
+def _in_image(path: Path) -> tuple[dict[str, str], dict[str, Items]]:
+    """Return the items of the RPC of an image, and those of its bands by their numbers."""
+    with open_raster(path) as raster:
+        of_bands = {str(number): rpc_of_tags(raster.tags(number, ns="RPC"))
+                    or rpc_of_tags(raster.tags(number)) for number in range(1, raster.count + 1)}
+        return raster.tags(ns="RPC"), {band: items for band, items in of_bands.items() if items}
+
+
+def _of_several(items_of: Mapping[str, Items], name: str, *, bands: bool = False) -> Rpc:
+    """Return the RPC of a name, the only one, or of bands that in the middle.
+
+    Raises TermselError for a name that there is not, and for RPCs of several images without one.
+    """
+    names = list(items_of)
+    listed = ", ".join(names[:_LISTED]) + (", ..." if len(names) > _LISTED else "")
+    kind = "bands" if bands else "images"
+    if name and name not in items_of:
+        raise TermselError(f"the file has no RPC of {name!r}, but of the {kind} {listed}",
+                           hint="Name one of these after FILE#.")
+    if name or len(names) == 1:
+        return from_items(items_of[name or names[0]])
+    if not bands:
+        raise TermselError(f"the file has RPCs of the images {listed}",
+                           hint=f"Name one after the file, such as FILE#{names[0]}.")
+    rpcs = {band: from_items(items) for band, items in items_of.items()}
+    middle = names[len(names) // 2]
+    log.warning("Note: the file has an RPC for each of %d bands. That of band %s is taken; others "
+                "see places up to %.2g px from there. FILE#BAND takes another.", len(rpcs), middle,
+                largest_difference(rpcs, middle))
+    return rpcs[middle]
 
 
 def _in_no_known_form(path: Path, text: str, root: str = "") -> TermselError:
@@ -139,15 +201,8 @@ def _in_no_known_form(path: Path, text: str, root: str = "") -> TermselError:
     if not _TRACES.search(text):
         return TermselError(f"{kind} has no RPC in a form that termsel reads", file=path,
                             hint=f"Expected {KNOWN}.")
-    form = "another one than these"
-    if root and "<bandid" in text.lower():
-        form = "an RPC for each band, as EnMAP's XML has"
-    elif text.lstrip()[:1] in ("{", "["):
-        form = "JSON, such as that of the Data Fusion Contest 2019"
-    elif path.suffix.lower() in (".yaml", ".yml"):
-        form = "YAML, such as Orthority's"
     return TermselError(
-        f"{kind} seems to have an RPC in a form that termsel does not read: {form}", file=path,
+        f"{kind} seems to have an RPC in a form that termsel does not read", file=path,
         hint=f"Expected {KNOWN}. Write its numbers as one of these, such as _RPC.TXT.")
 
 
@@ -212,7 +267,7 @@ def _number(text: str, name: str, line: int | None = None) -> float:
                            hint=hint) from None
 
 
-def _from_xml(path: Path) -> Rpc:
+def _from_xml(path: Path, name: str) -> Rpc:
     content = read_data(path)
     # Without a declaration it is GDAL's, which writes names of files with the bytes they have.
     declared = content.lstrip().startswith(b"<?xml")
@@ -227,6 +282,8 @@ def _from_xml(path: Path) -> Rpc:
                            line=error.position[0], hint="Is the file complete?") from error
     if root.tag == "Dimap_Document":
         return _from_dimap(root)
+    if of_bands := rpcs_of_xml(root):
+        return _of_several(of_bands, name, bands=True)
     items = {item.get("key", ""): item.text or "" for domain in root.iter("Metadata")
              if domain.get("domain") == "RPC" for item in domain.iter("MDI")}
     if not items:

@@ -13,6 +13,7 @@ from termsel.core.errors import TermselError
 from termsel.core.files.texts import is_xml_text, xml_attribute, xml_text
 from termsel.core.options import Option
 from termsel.data.features import Points
+from termsel.data.rasters import gdal_name
 from termsel.formats.image_origin import other_image, require_inside
 from termsel.formats.pictures import Band, Picture, picture_of
 from termsel.results.result import Result
@@ -88,7 +89,8 @@ def vrt_text(
 
 def _name_in_vrt(image: Path, folder: Path) -> str:
     """Return the name of an image as seen from the folder of a VRT, if that can hold it."""
-    name = relative(image, folder)
+    # What is in an archive has no way from a folder.
+    name = str(gdal_name(image)) if str(image).startswith("/vsi") else relative(image, folder)
     if not is_xml_text(name.encode(errors="ignore").decode()):
         raise TermselError("the name of this image has control characters, which no virtual "
                            "raster can represent", file=image, hint="Rename it.")

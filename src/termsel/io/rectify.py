@@ -13,6 +13,7 @@ import numpy as np
 from termsel.core.errors import TermselError
 from termsel.core.files.atomic import private_folder, write_text
 from termsel.core.files.names import utf8_name
+from termsel.data.archives import raster_in
 from termsel.data.cog import require_tiff_name
 from termsel.data.coordinates.crs import (
     UTM,
@@ -76,7 +77,8 @@ def rectify(
     ----------
     result : Result
     image : path-like
-        The image the features were measured in.
+        The image the features were measured in; a zip or folder that holds it alone, or its place
+        in a zip, ``FILE.zip/PLACE.tif``.
     output : path-like
         Cloud-optimised GeoTIFF.
     dem : path-like, optional
@@ -133,7 +135,7 @@ def rectify(
     True
     """
     require_rasterio()
-    image = Path(image)
+    image = raster_in(Path(image))
     output = Path(output)
     require_tiff_name(output)
     require_replaceable([output], reads=[image, dem], overwrite=overwrite)

@@ -42,5 +42,6 @@ from termsel.io.map_grid import MapGrid as MapGrid
 from termsel.io.map_grid import grid_of_image as grid_of_image
 from termsel.io.map_grid import map_crs as map_crs
 from termsel.io.plan import plan as plan
+from termsel.io.read import parts_of as parts_of
 from termsel.io.result_folder import RECORD as RECORD
 from termsel.io.result_folder import claimed as claimed

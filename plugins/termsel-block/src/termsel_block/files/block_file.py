@@ -18,7 +18,7 @@ import numpy as np
 
 from termsel import FeatureSet, TermselError, get, open_raster, read, read_rpc
 from termsel.toolkit import LOCAL, normalise, options_of_file, require_regular, unguarded
-from termsel.toolkit.files import read_toml
+from termsel.toolkit.files import parts_of, read_toml
 from termsel_block.block import CORRECTIONS, Block, BlockImage, Ties
 from termsel_block.estimation.equations import pairs
 from termsel_block.files.asp import asp_rows, is_asp
@@ -34,6 +34,8 @@ _KINDS = {"str": "text in quotes", "int": "a whole number", "float": "a number",
           "bool": "true or false", "array": "a list", "object": "a table"}
 # In a note.
 _NAMED_TIES = 5
+# In a message.
+_NAMED_IMAGES = 8
 # Ties and control features of an image.
 _MIN_FEATURES = 3
 # Bytes of an image's name, in UTF-8.
@@ -274,11 +276,35 @@ def _read(stated: _Image, folder: Path, crs: str, dem: Path | None) -> FeatureSe
     """Return the control of an image as `termsel.read` has it."""
     try:
         return read(folder / stated.points if stated.points else None,
-                    folder / stated.lines if stated.lines else None, crs=crs, dem=dem)
+                    folder / stated.lines if stated.lines else None, crs=crs, dem=dem,
+                    **_part_of(stated, folder))
     except TermselError as error:
         raise TermselError(error.what.replace("--crs says", "the block says"), file=error.file,
                            line=error.line, column=error.column,
                            hint=in_a_block(error.hint)) from error
+
+
+def _part_of(stated: _Image, folder: Path) -> dict[str, Any]:
+    """Return the options that read the points of an image from a file of several images.
+
+    Such a file is a list of OpenDroneMap, or one of marks. The image is found by the name of its
+    file, or by that of the image in the block, with or without the ending.
+    """
+    if stated.points is None:
+        return {}
+    path = folder / stated.points
+    options_by_image = parts_of(path)
+    if not options_by_image:
+        return {}
+    names = [stated.name, *([Path(stated.image).name] if stated.image else [])]
+    for name in names:
+        for image, options in options_by_image.items():
+            if name in (image, Path(image).stem):
+                return options
+    listed = ", ".join(list(options_by_image)[:_NAMED_IMAGES])
+    raise TermselError(f"the file has points of several images, such as {listed}, and none of "
+                       f"{stated.name!r}", file=path,
+                       hint="Give the image of the block the name that the file has for it.")
 
 
 def _features(stated: _Image, folder: Path, crs: str, dem: Path | None, path: Path) -> FeatureSet:

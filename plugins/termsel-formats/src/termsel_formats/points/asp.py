@@ -3,7 +3,8 @@
 From its manual, section "Ground control points" of `bundle_adjust`: one row per point, cells
 separated by spaces or commas: id, latitude, longitude, height above a datum that is stated
 elsewhere, their three standard deviations [m]; then for each image its name, column and row
-counted from 0, and their standard deviations [px].
+counted from 0, and their standard deviations [px]. Ids are whole numbers: bundle_adjust leaves out
+rows with others. Names of points are in comments here, ``# id 7 is NAME``.
 """
 
 from __future__ import annotations
@@ -31,6 +32,11 @@ _GROUND = ("id", "lat", "lon", "height", "sigma_x", "sigma_y", "sigma_z")
 _IMAGE = ("image", "column", "row", "sigma_column", "sigma_row")
 _READ = {"id": "id", "y": "lat", "x": "lon", "z": "height", "sample": "column", "line": "row",
          "sigma_sample": "sigma_column", "sigma_line": "sigma_row"}
+
+_NAMED = re.compile(r"#\s*id (\d+) is (.+)")
+"""Comments of termsel on the name of a point."""
+
+_LARGEST_ID = 2**31 - 1
 
 _FREE = 10000.0
 """Standard deviation that leaves the place of a check point free [m]."""
@@ -62,7 +68,9 @@ class AspGcp(Reader):
                          self.options["image_name"], "image_name=NAME")
         rows = [(number, *ground, image, *images[image])
                 for number, ground, images in points if image in images]
-        lines, *columns = zip(*rows, strict=True)
+        lines, ids, *columns = zip(*rows, strict=True)
+        name_of = _names(path)
+        columns.insert(0, tuple(name_of.get(cell, cell) for cell in ids))
         cells_of = dict(zip(_GROUND + _IMAGE, columns, strict=True))
         table = Table(path, "", _READ, {key: cells_of[name] for key, name in _READ.items()},
                       lines)
@@ -98,6 +106,12 @@ def _rows(path: Path) -> list[_Row]:
     return points
 
 
+def _names(path: Path) -> dict[str, str]:
+    """Return the names of points by their ids, from the comments of termsel."""
+    matches = map(_NAMED.match, read_text(path).splitlines())
+    return {match[1]: match[2].strip() for match in matches if match}
+
+
 def _idle(line: str) -> bool:
     return not line.strip() or line.lstrip().startswith("#")
 
@@ -114,7 +128,8 @@ class AspGcpWriter(PointsWriter):
     """Control and check points as a .gcp file of the Ames Stereo Pipeline, without blunders.
 
     Places are longitude, latitude and height above the ellipsoid on WGS84. Of check points all
-    standard deviations are large, so that bundle_adjust follows the control.
+    standard deviations are large, so that bundle_adjust follows the control. Points whose names are
+    no whole numbers are numbered; comments have their names, which termsel reads back.
     """
 
     name = "asp-gcp"
@@ -141,15 +156,25 @@ class AspGcpWriter(PointsWriter):
         image = _word(image_name(self.options["image"], path))
         rows = [f"# {' '.join(_GROUND)} {' '.join(_IMAGE)}",
                 "# WGS84; heights above the ellipsoid [m]; rows and columns from 0"]
-        for name, (line, sample), (x, y, z), (sigma_line, sigma_sample), is_check in zip(
-                points.ids, points.image.tolist(), ground.tolist(), sigma_image.tolist(),
-                checked.is_check, strict=True):
+        numbers = _ids(points.ids)
+        columns = (points.image.tolist(), ground.tolist(), sigma_image.tolist(), checked.is_check)
+        for name, number, (line, sample), (x, y, z), (sigma_line, sigma_sample), is_check in zip(
+                points.ids, numbers, *columns, strict=True):
+            if number != name:
+                rows.append(f"# id {number} is {' '.join(name.split())}")
             sigma_of_ground = _FREE if is_check else sigma_ground
             sigmas = " ".join([repr(sigma_of_ground)] * 3)
-            rows.append(f"{_word(name)} {y!r} {x!r} {z!r} {sigmas} {image} {sample!r} {line!r} "
+            rows.append(f"{number} {y!r} {x!r} {z!r} {sigmas} {image} {sample!r} {line!r} "
                         f"{sigma_sample!r} {sigma_line!r}")
         write_text(path, "\n".join([*rows, ""]))
         say_checked(self.name, checked)
+
+
+def _ids(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return names that all are whole numbers, else numbers from 1."""
+    whole = all(name.isascii() and name.isdecimal() and str(int(name)) == name
+                and int(name) <= _LARGEST_ID for name in names)
+    return names if whole else tuple(str(number) for number in range(1, len(names) + 1))
 
 
 def _word(text: str) -> str:

@@ -161,8 +161,13 @@ class MicmacXmlWriter(PointsWriter):
         """Write both files."""
         self.require(result, path)
         checked = checked_points(result, with_heights=True)
-        control = checked.points.take(np.logical_not(checked.is_check))
         require_points(checked, path, self.needs)
+        checked = checked.without_checks()
+        control = checked.points
+        if not len(control):
+            raise TermselError("all points that can be written are independent check points, which "
+                               "MicMac would take as control", file=path,
+                               hint=f"The format requires {self.needs}.")
         measures = ElementTree.Element(_MEASURES)
         of_image = ElementTree.SubElement(measures, "MesureAppuiFlottant1Im")
         _add(of_image, "NameIm", image_name(self.options["image"], path))

@@ -13,6 +13,7 @@ OpenDroneMap documentation, "Ground Control Points", section "File format"; Open
 
 from __future__ import annotations
 
+import logging
 import re
 from pathlib import Path
 from typing import Any, ClassVar
@@ -31,12 +32,15 @@ from termsel_formats.points.written import (
     say_checked,
 )
 
+log = logging.getLogger("termsel.formats")
+
 _COLUMNS = ("geo_x", "geo_y", "geo_z", "im_x", "im_y", "image_name", "gcp_name")
 _MEANINGS = {"x": "geo_x", "y": "geo_y", "z": "geo_z", "sample": "im_x", "line": "im_y"}
 _CRS_LINE = re.compile(r"\s*#?\s*(EPSG\s*:|WGS\s*84|\+proj|\+init|PROJCR?S|GEOG|ESRI\s*:)",
                        re.IGNORECASE)
 _CHECK = "CHK-"
-"""Beginning of the names of check points, which OpenDroneMap keeps out of its adjustment."""
+"""Beginning of the names of check points. Versions of OpenDroneMap that know it keep them out of
+the adjustment; others take them as control (github.com/WebODM/WebODM/issues/1824)."""
 _HINT = f"The first line is the CRS, the others are {' '.join(_COLUMNS[:6])} [gcp_name]."
 
 
@@ -116,18 +120,25 @@ def _known_height(cell: str) -> str:
 class OdmGcpListWriter(PointsWriter):
     """Control and check points as a list of OpenDroneMap, without blunders.
 
-    The names of independent check points begin with "CHK-". Heights that are not known are NaN.
+    The names of independent check points begin with "CHK-", which not every version of OpenDroneMap
+    knows: a note says so, and without `check_points` they are left out. Heights that are not known
+    are NaN.
     """
 
     name = "odm-gcp-list"
     summary = "points without blunders as gcp_list.txt of OpenDroneMap, with check points"
     suffix = "_gcp_list.txt"
-    declared_options: ClassVar[tuple[Option, ...]] = (IMAGE,)
+    declared_options: ClassVar[tuple[Option, ...]] = (
+        IMAGE,
+        Option("check_points", True, "Whether the list has the independent check points, too, with "
+                                     "names that begin with CHK-.", type=bool))
 
     def write(self, result: Result, path: Path) -> None:
         """Write the list."""
         self.require(result, path)
         checked = checked_points(result)
+        if not self.options["check_points"]:
+            checked = checked.without_checks()
         require_points(checked, path, self.needs)
         image = _word(image_name(self.options["image"], path))
         rows = [_crs_line(result.features.crs)]
@@ -139,6 +150,10 @@ class OdmGcpListWriter(PointsWriter):
             rows.append(f"{x} {y} {z} {sample!r} {line!r} {image} {label}")
         write_text(path, "\n".join([*rows, ""]))
         say_checked(self.name, checked)
+        if any(checked.is_check):
+            log.warning("Note: names of check points begin with %s. Versions of OpenDroneMap that "
+                        "do not know this take them as control: --set check_points=false leaves "
+                        "them out.", _CHECK)
 
 
 def _crs_line(crs: str) -> str:

@@ -54,6 +54,14 @@ class CheckedPoints:
     is_check: tuple[bool, ...]
     left_out: tuple[str, ...]
 
+    def without_checks(self) -> CheckedPoints:
+        """Return the control alone."""
+        is_control = np.logical_not(np.array(self.is_check, dtype=np.bool_))
+        checks = tuple(f"{name} (check point)" for name, is_check in zip(
+            self.points.ids, self.is_check, strict=True) if is_check)
+        control = self.points.take(is_control)
+        return CheckedPoints(control, (False,) * len(control), (*self.left_out, *checks))
+
 
 def checked_points(result: Result, *, with_heights: bool = False) -> CheckedPoints:
     """Return the points that other programs may take: those in use and the check points.

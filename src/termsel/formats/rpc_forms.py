@@ -1,0 +1,179 @@
+"""RPCs in nested files: JSON, Orthority's YAML, and XML or tags with an RPC for each band.
+
+Names of numbers differ between them: "rowNum", "row_num" and "line_num_coeff" are the same twenty
+coefficients. A file may have the RPCs of several bands or images, each by its name.
+
+References
+----------
+EnMAP metadata as EnPT reads them (github.com/GFZ/enpt): product/navigation/RPC/bandID. JSON of
+rpcm (github.com/centreborelli/rpcm), as with the Data Fusion Contest 2019, and of VisSat. YAML of
+Orthority (orthority.readthedocs.io), RPC parameter file.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping
+from itertools import product
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from termsel.core.errors import TermselError
+from termsel.data.rpc import Rpc
+
+Items = dict[str, str]
+"""Numbers as text by the names of GDAL's RPC domain."""
+
+DEEPEST = 20
+"""Levels of a nested file; known ones have four."""
+
+_COORDINATES = {"row": "LINE", "line": "LINE", "col": "SAMP", "column": "SAMP", "samp": "SAMP",
+                "sample": "SAMP", "lat": "LAT", "latitude": "LAT", "lon": "LONG", "long": "LONG",
+                "longitude": "LONG", "alt": "HEIGHT", "altitude": "HEIGHT", "height": "HEIGHT"}
+_NUMBERS = {"off": "OFF", "offset": "OFF", "scale": "SCALE", "num": "NUM_COEFF",
+            "den": "DEN_COEFF"}
+_NAME = re.compile("({})({})(?:coeffs?|coefs?)?([0-9]*)".format(*(
+    "|".join(sorted(words, key=len, reverse=True)) for words in (_COORDINATES, _NUMBERS))))
+_ERRORS = {"errbias": "ERR_BIAS", "errrand": "ERR_RAND"}
+_IS_RPC = {"LINE_NUM_COEFF", "SAMP_DEN_COEFF"}
+_YAML_LINE = re.compile(r"( *)([^\s#:][^:#]*?|\"[^\"]*\"|'[^']*')\s*:(?:\s+(.*)|\s*)$")
+
+
+def rpcs_of_tree(tree: object) -> dict[str, Items]:
+    """Return the RPCs in nested dictionaries, each by the name that they have there."""
+    found: dict[str, Items] = {}
+    for path, values in _dictionaries(tree, ()):
+        items = _items(values)
+        if items.keys() >= _IS_RPC:
+            name = next((key for key in reversed(path) if key.lower() != "rpc"), "")
+            found[name if name not in found else "/".join(path)] = items
+    return found
+
+
+def rpcs_of_xml(root: ElementTree.Element) -> dict[str, Items]:
+    """Return the RPCs of bands in XML, by the numbers of the bands."""
+    found = {}
+    for band in root.iter("bandID"):
+        items = _items({element.tag: element.text for element in band})
+        if items.keys() >= _IS_RPC:
+            found[band.get("number", "")] = items
+    return found
+
+
+def rpc_of_tags(tags: Mapping[str, str]) -> Items:
+    """Return the RPC in the tags of a band; nothing where there is none."""
+    items = _items(tags)
+    return items if items.keys() >= _IS_RPC else {}
+
+
+def tree_of_json(text: str) -> object:
+    """Return what JSON holds; nothing where it is none."""
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError):
+        return None
+
+
+def tree_of_yaml(text: str) -> dict[str, Any]:
+    """Return dictionaries of the YAML that Orthority writes: blocks of keys, lists in brackets.
+
+    Nothing where it is of another kind.
+    """
+    tree: dict[str, Any] = {}
+    levels: list[tuple[int, dict[str, Any]]] = [(-1, tree)]
+    for line in _whole_lines(text):
+        entry = _YAML_LINE.fullmatch(line)
+        if entry is None:
+            return {}
+        indent = len(entry[1])
+        key = entry[2].strip("\"'")
+        value = (entry[3] or "").strip()
+        while levels[-1][0] >= indent:
+            levels.pop()
+        parent = levels[-1][1]
+        if value.startswith("["):
+            parent[key] = value.strip("[] ").split(",")
+        elif value:
+            parent[key] = value
+        else:
+            parent[key] = {}
+            levels.append((indent, parent[key]))
+    return tree
+
+
+def largest_difference(rpcs: Mapping[str, Rpc], name: str) -> float:
+    """Return how far others see places from where the RPC of a name sees them, at most [px]."""
+    rpc = rpcs[name]
+    steps = np.array(list(product(np.linspace(-1.0, 1.0, 5), repeat=3)))
+    ground = steps * rpc.ground_scale + rpc.ground_offset
+    image = rpc.project(ground)
+    inside = (np.abs(image - rpc.image_offset) <= rpc.image_scale).all(axis=1)
+    seen = ground[inside]
+    away = [np.linalg.norm(other.project(seen) - image[inside], axis=1) for other in rpcs.values()]
+    return float(np.nanmax(away, initial=0.0))
+
+
+def _whole_lines(text: str) -> Iterator[str]:
+    """Yield the lines of YAML, those of a list in brackets as one, without comments."""
+    held = ""
+    for line in text.splitlines():
+        content = line.split(" #")[0].rstrip()
+        if not content.strip() or content.lstrip().startswith(("#", "---")):
+            continue
+        held = f"{held} {content.strip()}" if held else content
+        if held.count("[") <= held.count("]"):
+            yield held
+            held = ""
+    if held:
+        yield held
+
+
+def _dictionaries(tree: object, path: tuple[str, ...],
+                  ) -> Iterator[tuple[tuple[str, ...], dict[str, Any]]]:
+    """Yield the dictionaries of a tree, with the keys that lead to them."""
+    if len(path) > DEEPEST:
+        raise TermselError("the file is nested too deeply for one of RPCs",
+                           hint="Give the file of the RPC.")
+    if isinstance(tree, dict):
+        yield path, tree
+        for key, value in tree.items():
+            yield from _dictionaries(value, (*path, str(key)))
+    elif isinstance(tree, list):
+        for number, value in enumerate(tree):
+            if isinstance(value, dict | list):
+                yield from _dictionaries(value, (*path, str(number)))
+
+
+def _items(values: Mapping[str, Any]) -> Items:
+    """Return the numbers of an RPC by GDAL's names, whatever names they have."""
+    items: Items = {}
+    for key, value in values.items():
+        plain = re.sub(r"[^a-z0-9]", "", str(key).lower())
+        if plain in _ERRORS:
+            items[_ERRORS[plain]] = str(value)
+        match = _NAME.fullmatch(plain)
+        if match is None:
+            continue
+        name = f"{_COORDINATES[match[1]]}_{_NUMBERS[match[2]]}"
+        if isinstance(value, list):
+            items[name] = " ".join(map(str, value))
+        elif match[3]:
+            items[f"{name}_{match[3]}"] = str(value)
+            items.setdefault(name, "")
+        else:
+            items[name] = str(value)
+    # Coefficients that are numbered have an item each.
+    return {name: text for name, text in items.items() if text} | {
+        name: _joined(items, name) for name, text in items.items() if not text}
+
+
+def _joined(items: Items, name: str) -> str:
+    keys = [key for key in items if key.startswith(f"{name}_")]
+    return " ".join(items[key] for key in sorted(keys, key=_number_of))
+
+
+def _number_of(key: str) -> int:
+    return int(key.rpartition("_")[2])
