@@ -9,7 +9,9 @@ half an hour.
 from __future__ import annotations
 
 import argparse
+import shutil
 import sys
+import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,17 +19,22 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline, CubicSpline, RBFInterpolator
 
 import termsel
+from benchmarks.radar_maps import beside
 from benchmarks.sets import DATA, put
 from benchmarks.whole_image import timings
 from termsel.core.threads import one_blas_thread
 from termsel.data.coordinates.wgs84 import to_ecef
-from termsel.data.features import FeatureSet, FloatArray
+from termsel.data.features import FeatureSet, FloatArray, Points
 from termsel.fitting.rpc_fit import rpc_of
 from termsel_scanner import Radar
-from termsel_scanner.annotation import LatticePoint, annotation_of, lattice_of
+from termsel_scanner.annotation import Annotation, LatticePoint, annotation_of, lattice_of
+from termsel_scanner.radar import zero_doppler
 
 PLACES, SEED = 1500, 0
 LIGHT = 299792458.0
+NEARER = 12
+"""Steps from a sample by two polynomials to that by the nearest one."""
+
 HALVINGS = 60
 """Of the interval in which the time of zero Doppler lies: to rounding."""
 
@@ -56,10 +63,48 @@ termsel computes one.
 
 END = """
 A cubic or a spline without heights is off by what relief does. Of the stripmap image the lattice
-itself is 0.08 px off in line, as the processor counts the time until an echo arrives otherwise. No
-RPC follows the polynomials of ground range, which change every second; the message of the export
-says how far it is off.
+itself is 0.08 px off in line, as the processor takes in when echoes arrive. No RPC follows the
+polynomials of ground range, which change every second; the message of the export says how far it is
+off.
 """
+
+AGAINST = """
+## Against the lattice
+
+How far the radar sees the lattice's own points from where the annotation has them, RMSE [px]. Range
+and Doppler alone leave out that an echo from afar arrives later; with `--set bistatic=true` lines
+take that in, as the lattice does. Samples of a GRD image follow two polynomials, weighed by time;
+those of the lattice that which is nearest in time.
+
+| image | lines | lines, bistatic | samples | samples, nearest polynomial |
+|---|---:|---:|---:|---:|
+"""
+
+SIBLINGS = """
+## Other GRD images, from the lattice alone
+
+*Simulated:* images like the GRD above, whose relief and changes of ground range from second to
+second are a share of its own, in another order. Lattices are computed as the annotation's is. The
+interval is what a run on the lattice alone promises, the error that against range and Doppler.
+
+| relief | changes | order | error [px] | promised (90 %) |
+|---:|---:|---|---:|---:|
+"""
+
+MAPS = """
+## Maps of other programs, pixel by pixel
+
+The image has its own line and sample as pixels, so that maps by different ways tell how far apart
+in the image their pixels were taken from. Relief is made up, between the lowest and the highest
+point. gdalwarp takes the RPC with the DEM; QGIS takes it at its height offset, and shows the
+nearest pixel: its figure is what is beyond half a pixel.
+
+| image | pixels | gdalwarp, RMSE [px] | largest | QGIS, largest | the export says: RMSE | largest |
+|---|---:|---:|---:|---:|---:|---:|
+"""
+
+SHARES = ((1.0, 1.0), (0.3, 0.3), (0.1, 0.1), (0.05, 0.03))
+"""Relief and changes of ground range of simulated images, as shares of those of the real one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,6 +232,98 @@ def row(case: Case) -> str:
                        rmse(rpc.rpc.project(places)), _size(rpc.worst), ""]).strip()
 
 
+def against_lattice(case: Case) -> str:
+    """Return how far the radar sees points of the lattice from where the annotation has them."""
+    points = case.lattice
+    image = np.array([[point.line, point.sample] for point in points])
+    ground = np.array([[point.longitude, point.latitude, point.height] for point in points])
+    if case.burst:  # of which the lattice has the first line alone
+        ground = ground[image[:, 0] == 0]
+        image = image[image[:, 0] == 0]
+    radar = Radar(metadata=str(case.path), burst=case.burst)
+    plain = radar.unshifted(ground) - image
+    late = Radar(metadata=str(case.path), burst=case.burst, bistatic=True).unshifted(ground) - image
+    nearest = by_nearest(radar.annotation, ground) - image[:, 1] \
+        if radar.annotation.ground_ranges else plain[:, 1]
+    figures = (np.sqrt((errors**2).mean()) for errors in (
+        plain[:, 0], late[:, 0], plain[:, 1], nearest))
+    name = radar.annotation.product + (f", burst {case.burst}" * bool(case.burst))
+    return f"| {name} | " + " | ".join(f"{figure:.2g}" for figure in figures) + " |"
+
+
+def by_nearest(stated: Annotation, ground: FloatArray) -> FloatArray:
+    """Return samples (n,) of places by the polynomial of ground range nearest in time."""
+    time, distance, _ = zero_doppler(stated, to_ecef(ground))
+    moments = np.array([record.time for record in stated.ground_ranges])
+    numbers = np.abs(moments[:, None] - time).argmin(axis=0)
+    samples = [np.polyval(stated.ground_ranges[number].coefficients[::-1],
+                          slant - stated.ground_ranges[number].origin)
+               for number, slant in zip(numbers, distance, strict=True)]
+    return np.array(samples) / stated.sample_spacing
+
+
+def siblings(case: Case) -> list[str]:
+    """Return the rows of simulated images like a GRD image."""
+    stated = annotation_of(str(case.path))
+    rows = []
+    for order in (None, 1, 2):
+        for relief, change in SHARES:
+            sibling = like(stated, change, order)
+            features = lattice_like(case, sibling, relief)
+            places = places_between(features)
+            exact = Radar(metadata=sibling.text()).unshifted(places)
+            result = termsel.run(features=features)
+            error = np.sqrt(((result.fit.project(places) - exact)**2).sum(axis=1).mean())
+            promised = result.predicted
+            assert promised is not None
+            rows.append(f"| {relief:g} | {change:g} | {'its own' if order is None else 'another'} "
+                        f"| {_size(float(error))} | {_size(promised.low)} to "
+                        f"{_size(promised.high)} |")
+    return rows
+
+
+def like(stated: Annotation, change: float, order: int | None) -> Annotation:
+    """Return an annotation whose ground range changes by a share of another's, in some order."""
+    records = stated.ground_ranges
+    table = np.zeros((len(records), max(len(record.coefficients) for record in records)))
+    for row, record in zip(table, records, strict=True):
+        row[:len(record.coefficients)] = record.coefficients
+    mean = table.mean(axis=0)
+    numbers = np.arange(len(records)) if order is None else \
+        np.random.default_rng(order).permutation(len(records))
+    table = mean + change * (table[numbers] - mean)
+    return replace(stated, ground_ranges=tuple(
+        replace(record, coefficients=tuple(row.tolist()))
+        for record, row in zip(records, table, strict=True)))
+
+
+def lattice_like(case: Case, stated: Annotation, relief: float) -> FeatureSet:
+    """Return the lattice of a simulated image, by polynomials of ground range nearest in time."""
+    points = case.lattice
+    image = np.array([[point.line, point.sample] for point in points])
+    ground = np.array([[point.longitude, point.latitude, relief * point.height]
+                       for point in points])
+    radar = Radar(metadata=stated.text(), bistatic=True)
+    asked = image.copy()
+    # The sample by weighed polynomials of the place that the nearest one sees at the lattice's.
+    for _ in range(NEARER):
+        places = radar.on_ground(asked, ground)
+        asked[:, 1] += image[:, 1] - by_nearest(stated, places)
+    return FeatureSet(Points(tuple(map(str, range(len(image)))), image, places), crs="EPSG:4979",
+                      image_size=stated.size)
+
+
+def map_row(case: Case) -> str:
+    """Return the row of maps by gdalwarp and QGIS next to that of `rectify`."""
+    with tempfile.TemporaryDirectory() as folder:
+        apart = beside(case.features(), Path(folder))
+    figures = (apart.gdal_rms, apart.gdal_largest, apart.qgis_largest, apart.stated_rms,
+               apart.stated_largest)
+    name = annotation_of(str(case.path)).product + (f", burst {case.burst}" * bool(case.burst))
+    return f"| {name} | {apart.pixels:,} | " + " | ".join(
+        f"{figure:.2g}" for figure in figures) + " |"
+
+
 def _size(value: float) -> str:
     return "0" if value < 1e-6 else f"{value:.2g}" if value < 99.5 else f"{value:,.0f}"
 
@@ -206,9 +343,13 @@ def main() -> None:
     text = INTRODUCTION + "\n" + TRUTH
     text += "\n".join(row(case) for case in found) + "\n"
     text += END
+    text += AGAINST + "\n".join(map(against_lattice, found)) + "\n"
+    grd = next(case for case in found if not case.burst
+               and annotation_of(str(case.path)).ground_ranges)
+    text += SIBLINGS + "\n".join(siblings(grd)) + "\n"
+    if shutil.which("gdalwarp"):
+        text += MAPS + "\n".join(map(map_row, found)) + "\n"
     if asked.whole:
-        grd = next(case for case in found if not case.burst
-                   and annotation_of(str(case.path)).ground_ranges)
         text += "\n" + timings(grd.path, asked.whole)
     put("sentinel-1", text, write=asked.write)
 
