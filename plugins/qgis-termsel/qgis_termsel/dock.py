@@ -29,10 +29,13 @@ from .algorithms.base import scratch
 from .algorithms.georeference import inputs_of, model_named
 from .child import run
 from .layers import add_blunders, blunder_style, read_inside
+from .map_tool import ChoosePoint, places_of
 
 CHECKED = Qt.CheckState.Checked
 UNCHECKED = Qt.CheckState.Unchecked
-_COLUMNS = ("leave out", "id", "role", "line [px]", "sample [px]", "distance [px]")
+_COLUMNS = ("Leave out", "Id", "Role", "Residual, line [px]", "Residual, sample [px]",
+            "Residual [px]")
+"""In the words of the page of `termsel app`."""
 
 
 class ResultDock(QDockWidget):
@@ -53,15 +56,21 @@ class ResultDock(QDockWidget):
         self.table.setSortingEnabled(True)
         buttons = QHBoxLayout()
         self.buttons = {}
-        for name, act in (("Open", self.choose), ("Run again", self.rerun),
+        for name, act in (("Open", self.choose), ("Go to", self.go_to),
+                          ("Choose on the map", self.choose_on_map), ("Run again", self.rerun),
                           ("Export RPC", self.export)):
             button = QPushButton(name)
             button.clicked.connect(act)
             buttons.addWidget(button)
             self.buttons[name] = button
+        self.check_these = QLabel()
+        self.check_these.setWordWrap(True)
+        self.check_these.setTextFormat(Qt.TextFormat.PlainText)
+        self.map_tool = None if iface is None else ChoosePoint(iface.mapCanvas(), self.select)
         inside = QWidget()
         rows = QVBoxLayout()
         rows.addWidget(self.accuracy)
+        rows.addWidget(self.check_these)
         rows.addWidget(self.candidates)
         rows.addWidget(self.table)
         rows.addLayout(buttons)
@@ -90,6 +99,7 @@ class ResultDock(QDockWidget):
             return
         self.problem = record.get("problem")
         self.accuracy.setText(accuracy)
+        self.check_these.setText(check_these(record, rows))
         self._offer(record)
         self._fill(rows)
         self._enable()
@@ -103,6 +113,7 @@ class ResultDock(QDockWidget):
         """
         file = Path(scratch() + ".gpkg")
         try:
+            self.map_tool.crs, self.map_tool.places = places_of(self.folder, record)
             run(["export", self.folder, "--to", "residuals-gpkg", "-o", file],
                 QgsProcessingFeedback())
             add_blunders(self.folder, record, file)
@@ -144,7 +155,7 @@ class ResultDock(QDockWidget):
             is_left_out = row["role"] == "off" or (row["used"] == "no" and row["blunder"])
             box.setCheckState(CHECKED if is_left_out else UNCHECKED)
             self.table.setItem(at, 0, box)
-            for column, text in enumerate((row["id"], row["role"], row["residual_line"],
+            for column, text in enumerate((row["id"], role_text(row), row["residual_line"],
                                            row["residual_sample"], row["distance"]), 1):
                 item = QTableWidgetItem()
                 try:
@@ -162,6 +173,28 @@ class ResultDock(QDockWidget):
         return list(dict.fromkeys(
             self.table.item(row, 1).text() for row in range(self.table.rowCount())
             if self.table.item(row, 0).checkState() == CHECKED))
+
+    def select(self, name):
+        """Choose the row of a feature, and show it."""
+        for row in range(self.table.rowCount()):
+            if self.table.item(row, 1).text() == name:
+                self.table.selectRow(row)
+                self.table.scrollToItem(self.table.item(row, 1))
+
+    def chosen(self):
+        """Return the id of the row that is chosen, "" for none."""
+        row = self.table.currentRow()
+        return "" if row < 0 else self.table.item(row, 1).text()
+
+    def go_to(self):
+        """Show the chosen point in the middle of the map."""
+        if self.map_tool is not None:
+            self.map_tool.go_to(self.chosen())
+
+    def choose_on_map(self):
+        """Let a click on the map choose a row."""
+        if self.map_tool is not None:
+            self.iface.mapCanvas().setMapTool(self.map_tool)
 
     def rerun(self):
         """Open the dialog of the algorithm with the same points, and what is to be left out."""
@@ -192,12 +225,29 @@ class ResultDock(QDockWidget):
 
     def _enable(self):
         """Enable the buttons that need a result."""
-        for name in ("Run again", "Export RPC"):
+        for name in ("Go to", "Choose on the map", "Run again", "Export RPC"):
             self.buttons[name].setEnabled(self.folder is not None)
 
 
+def role_text(row):
+    """Return the role of a row of residuals as the page of `termsel app` says it."""
+    if row["role"] != "off" and row["used"] == "no" and row["blunder"]:
+        return "left out as a blunder"
+    return f"line, {row['role']}" if row["kind"] == "line" else row["role"]
+
+
+def check_these(record, rows):
+    """Return the blunders as the page names them; nothing where there are none."""
+    sizes = {row["id"]: float(row["distance"] or 0) for row in rows}
+    sentences = [f"{outlier['id']} is off by "
+                 f"{sizes.get(outlier['id'], outlier['error']):.3g} px ({outlier['certainty']})."
+                 + (" The model does without it." if outlier.get("excluded") else "")
+                 for outlier in record.get("outliers", [])]
+    return "Check these: " + " ".join(sentences) if sentences else ""
+
+
 def accuracy_text(record):
-    """Return the accuracy of a result in two sentences."""
+    """Return the accuracy of a result in two sentences, with its interval as the page has it."""
     independent = (record.get("rmse") or {}).get("independent") or {}
     predicted = record.get("predicted") or {}
     sentences = []
@@ -206,6 +256,6 @@ def accuracy_text(record):
                          "independent check points.")
     if predicted:
         sentences.append(f"Predicted: {predicted['rmse']:.3g} px, {predicted['low']:.3g} to "
-                         f"{predicted['high']:.3g} px with a probability of "
-                         f"{100 * predicted['level']:.0f}\u00a0%.")
+                         f"{predicted['high']:.3g} px ({100 * predicted['level']:.0f}\u00a0% "
+                         "interval).")
     return " ".join(sentences) or "No point took no part, so that the accuracy is not known."

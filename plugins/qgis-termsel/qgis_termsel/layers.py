@@ -75,7 +75,7 @@ def _guarded(cell):
     return cell
 
 
-def _unguarded(text):
+def unguarded(text):
     """Return a cell of a table of termsel without the apostrophe in front of a formula."""
     return text[1:] if text[:1] == "'" and _FORMULA.match(text) else text
 
@@ -242,7 +242,7 @@ def add_blunders(folder, record, target):
     features = []
     for row in csv.DictReader(line for line in io.StringIO(text) if not line.startswith("#")):
         # Only points: a blunder among lines has no place of its own.
-        name = _unguarded(row["id"])
+        name = unguarded(row["id"])
         if name in errors:
             feature = QgsFeature(layer.fields())
             feature.setAttributes([name, errors[name]])

@@ -21,6 +21,7 @@ from qgis.core import (
     QgsFeature,
     QgsGeometry,
     QgsPoint,
+    QgsPointXY,
     QgsProcessingContext,
     QgsProcessingException,
     QgsProcessingFeatureSourceDefinition,
@@ -292,6 +293,21 @@ def dock():
     picture.save(str(folder / "map.png"))
     seen["red"] = sum(picture.pixelColor(x, y).name() == "#c22f2f"
                       for x in range(picture.width()) for y in range(picture.height()))
+    shown.buttons["Choose on the map"].click()
+    seen["tool"] = canvas.mapTool() is shown.map_tool
+    place = shown.map_tool.on_map()["C40"]
+    shown.table.clearSelection()
+    shown.map_tool.choose(place)
+    seen["chosen"] = shown.chosen()
+    shown.map_tool.choose(QgsPointXY(place.x() + 1e7, place.y()))  # no point is near
+    seen["still chosen"] = shown.chosen()
+    shown.buttons["Go to"].click()
+    seen["gone to"] = [canvas.center().distance(place) < canvas.extent().width() / 100,
+                       canvas.extent().width() < extent.width() / 2]
+    canvas.setExtent(extent)
+    seen["check"] = shown.check_these.text()
+    seen["heads"] = [shown.table.horizontalHeaderItem(i).text() for i in range(6)]
+    seen["roles"] = sorted({shown.table.item(i, 2).text() for i in range(shown.table.rowCount())})
     shown.table.item(1, 0).setCheckState(CHECKED)  # the blunder has its own already
     seen["left out"] = shown.left_out()
     iface.mainWindow().grab().save(str(folder / "window.png"))

@@ -244,6 +244,19 @@ def test_the_dock_shows_a_result_and_runs_it_again(told: dict[str, Any], place: 
     assert "has no result" in dock["none"]
 
 
+def test_the_dock_has_the_words_of_the_page_and_its_map_tool(told: dict[str, Any]) -> None:
+    dock = told["dock"]
+    assert dock["heads"] == ["Leave out", "Id", "Role", "Residual, line [px]",
+                             "Residual, sample [px]", "Residual [px]"]
+    assert "left out as a blunder" in dock["roles"]
+    assert dock["check"].startswith("Check these: C40 is off by ")
+    assert "The model does without it." in dock["check"]
+    assert "interval)" in dock["accuracy"] or "independent" in dock["accuracy"]
+    assert dock["tool"]
+    assert dock["chosen"] == dock["still chosen"] == "C40"
+    assert dock["gone to"] == [True, True]
+
+
 def test_the_folder_of_a_stranger_is_data_alone(told: dict[str, Any]) -> None:
     dock = told["dock"]
     assert "result.json is a link" in dock["link"]

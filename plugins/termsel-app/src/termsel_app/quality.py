@@ -27,6 +27,8 @@ NEXT = 3
 """Places to measure next."""
 GRID = 40
 """Places along either side of the image where the uncertainty is computed."""
+FEWEST_LINES = 6
+"""Lines from which on OWDIS chooses among them: two equations each, for the terms of a plane."""
 ENOUGH = 0.05
 """Share of the uncertainty that a further point must gain to be worth measuring."""
 
@@ -81,6 +83,8 @@ def judged(question: Question) -> Iterator[Answer]:
         return
     yield {**base, "stage": "figures", **figures(result), "result": result}
     yield {**base, "stage": "predicted", "errors": prediction_errors(result)}
+    if len(features.lines) >= FEWEST_LINES:
+        yield {**base, "stage": "lines", **chosen_lines(features)}
     yield {**base, "stage": "next", **_next_places(result)}
     yield {**base, "stage": "uncertainty", "uncertainty": uncertainty(result)}
 
@@ -195,6 +199,26 @@ def prediction_errors(result: Result) -> dict[str, float]:
     for row in held_out:
         table[row.id] = max(row.distance, table.get(row.id, 0.0))
     return table
+
+
+def chosen_lines(features: FeatureSet) -> Answer:
+    """Return which lines OWDIS would use, and which not; as `termsel run --problem owdis-lines`.
+
+    Judged by leaving out each of the lines in turn, since the points of a session may be few.
+    """
+    heights = features.lines.ground[..., 2]
+    flat = not np.isfinite(heights).all() or np.ptp(heights) == 0.0
+    model: dict[str, Any] = {"model": "poly2d", "options": {"degree": 1}} if flat else {}
+    lines = replace(features, points=features.points.take(np.zeros(0, dtype=np.intp)))
+    try:
+        result = termsel.run("owdis-lines", features=lines, criterion="press",
+                             strategy="as-asked", **model)
+    except TermselError as error:
+        return {"text": f"OWDIS cannot choose among the lines: {error.what}.", "chosen": None}
+    chosen = [str(name) for name in result.selection.features]
+    count = len(features.lines)
+    return {"text": f"OWDIS uses {len(chosen)} of {count} lines; the others are drawn dashed."
+            if len(chosen) < count else f"OWDIS uses all {count} lines.", "chosen": chosen}
 
 
 def _next_places(result: Result) -> Answer:

@@ -329,7 +329,7 @@ function draw() {
   const used = Object.values(errors).filter(error => error.line !== null && !error.blunder);
   const largest = Math.max(0, ...used.map(error => error.distance));
   const details = arrows => record => ({ chosen: record.id === state.chosen, error: capped(errors[record.id], largest),
-    largest, blunder: errors[record.id]?.blunder, arrows });
+    largest, blunder: errors[record.id]?.blunder, arrows, unused: isUnused(record, state.answers.lines) });
   showControl(panes.image, state.records, record => places(record, "image").map(onScreen),
     details(byId("show-residuals").checked));
   showControl(panes.map, state.records, record => places(record, "map"), details(false));
@@ -339,7 +339,7 @@ function draw() {
   showBlunders((figures?.blunders ?? []).filter(blunder => recordOf(blunder.id)?.role !== "off"),
     { goTo, leaveOut: id => attempt(() => call("put", { id, role: "off" })) });
   showNextPlaces(next, goToNext);
-  showModel(figures);
+  showModel(figures, state.answers.lines);
   const record = recordOf(state.chosen);
   showSelected(record, errors[state.chosen ?? ""], own[state.chosen ?? ""], {
     put: given => attempt(async () => {
@@ -350,7 +350,7 @@ function draw() {
     remove: () => remove(),
     refine: state.setting.matching && record?.image && record.map && record.kind === "point" ? refine : null });
   showMatching();
-  showTable(state.records, errors, own, figures?.roles ?? {}, state.chosen, goTo);
+  showTable(state.records, errors, own, figures?.roles ?? {}, state.answers.lines?.chosen ?? null, state.chosen, goTo);
   byId("undo").disabled = !state.undo;
   byId("redo").disabled = !state.redo;
   drawUncertainty(uncertainty?.uncertainty);
@@ -359,6 +359,11 @@ function draw() {
   const answered = (figures ?? state.answers.waiting ?? state.answers.refused)?.serial ?? -1;
   document.body.classList.toggle("busy", answered !== state.asked);
   Object.assign(document.documentElement.dataset, { asked: String(state.asked), answered: String(answered) });
+}
+
+/** Whether OWDIS does without a line. @param {Feature} record @param {any} lines */
+function isUnused(record, lines) {
+  return record.kind === "line" && Boolean(lines?.chosen) && !lines.chosen.includes(record.id);
 }
 
 /** The arrow of a blunder is no longer than three times that of all others. @param {any} error @param {number} largest */

@@ -104,8 +104,8 @@ export function showNextPlaces(next, goTo) {
   byId("next").replaceChildren(...children);
 }
 
-/** Name the model and say why. @param {any} figures */
-export function showModel(figures) {
+/** Name the model and say why; of lines, those that OWDIS uses. @param {any} figures @param {any} lines */
+export function showModel(figures, lines) {
   byId("model-section").hidden = !figures;
   if (!figures) return;
   /** A fact may go on in lines whose label is blank. @type {{label: string, text: string}[]} */
@@ -116,6 +116,7 @@ export function showModel(figures) {
   }
   const parts = facts.filter(fact => ["Model", "Compared"].includes(fact.label)).map(fact =>
     make("p", {}, [make("strong", { textContent: `${fact.label} ` }), fact.text]));
+  if (lines) parts.push(make("p", {}, [make("strong", { textContent: "Lines " }), lines.text]));
   const why = [figures.why, figures.judgement].filter(Boolean);
   parts.push(make("details", {}, [make("summary", { textContent: "Why, and what to know" }),
     make("ul", {}, [...why, ...figures.notes].map(text => make("li", { textContent: text })))]));
@@ -205,10 +206,11 @@ const order = { key: "", down: false };
  * @param {Record<string, any>} errors
  * @param {Record<string, number>} own errors where the others predict a feature
  * @param {Record<string, string>} roles that termsel has assigned
+ * @param {string[] | null} lines that OWDIS uses, once it has chosen
  * @param {string | null} chosen
  * @param {(id: string) => void} choose
  */
-export function showTable(records, errors, own, roles, chosen, choose) {
+export function showTable(records, errors, own, roles, lines, chosen, choose) {
   byId("empty").hidden = records.length > 0;
   const rows = records.map(record => {
     const [image, ground] = record.kind === "point" ? [record.image ?? [], record.ground ?? []] : [[], []];
@@ -217,7 +219,7 @@ export function showTable(records, errors, own, roles, chosen, choose) {
       z: ground[2], distance: error.distance, own: own[record.id], blunder: error.blunder };
   });
   if (order.key) rows.sort((a, b) => compared(a[order.key], b[order.key]) * (order.down ? -1 : 1));
-  byId("rows").replaceChildren(...rows.map(row => tableRow(row, roles, chosen, choose)));
+  byId("rows").replaceChildren(...rows.map(row => tableRow(row, roles, lines, chosen, choose)));
   for (const head of document.querySelectorAll("[data-sort]")) {
     const on = /** @type {HTMLElement} */ (head).dataset.sort === order.key;
     head.closest("th")?.setAttribute("aria-sort", on ? (order.down ? "descending" : "ascending") : "none");
@@ -232,11 +234,13 @@ function compared(a, b) {
   return typeof a === "string" ? a.localeCompare(b, "en", { numeric: true }) : a - b;
 }
 
-/** @param {any} row @param {Record<string, string>} roles @param {string | null} chosen @param {(id: string) => void} choose */
-function tableRow(row, roles, chosen, choose) {
+/** @param {any} row @param {Record<string, string>} roles @param {string[] | null} lines
+ * @param {string | null} chosen @param {(id: string) => void} choose */
+function tableRow(row, roles, lines, chosen, choose) {
   const { record } = row;
   const role = record.role || (record.kind === "line" ? "control" : roles[record.id] ?? "");
-  const said = record.kind === "line" ? `line, ${role}` : record.role || !role ? role
+  const byOwdis = !lines || role === "off" ? "" : lines.includes(record.id) ? ", chosen by OWDIS" : ", not chosen by OWDIS";
+  const said = record.kind === "line" ? `line, ${role}${byOwdis}` : record.role || !role ? role
     : role === "off" ? "left out as a blunder" : `${role} (automatic)`;
   const number = (text, wrong = false) => make("td", { class: wrong ? "number wrong" : "number", textContent: text });
   return make("tr", {

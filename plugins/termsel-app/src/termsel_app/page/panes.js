@@ -198,9 +198,9 @@ export function served(projection, info, extent) {
  * @param {number} resolution
  */
 function styleOf(feature, resolution) {
-  const { record, chosen, error, largest, blunder, arrows } = feature.getProperties();
+  const { record, chosen, error, largest, blunder, arrows, unused } = feature.getProperties();
   const colour = blunder ? BLUNDER : ROLE_COLOURS[record.role] ?? ROLE_COLOURS[""];
-  if (record.kind === "line") return lineStyles(feature, colour, chosen, record);
+  if (record.kind === "line") return lineStyles(feature, colour, chosen, unused || record.role === "off", record.id);
   const whole = record.image && record.map;
   const styles = [];
   if (arrows && error && error.line !== null && largest > 0) {
@@ -256,15 +256,15 @@ function arrow(start, end, color) {
   ];
 }
 
-/** @param {any} feature @param {string} color @param {boolean} chosen @param {any} record */
-function lineStyles(feature, color, chosen, record) {
+/** @param {any} feature @param {string} color @param {boolean} chosen @param {boolean} unused @param {string} name */
+function lineStyles(feature, color, chosen, unused, name) {
   const ends = feature.getGeometry().getCoordinates();
-  const label = new ol.style.Text({ text: record.id, offsetY: -10, font: "600 12px system-ui, sans-serif",
+  const label = new ol.style.Text({ text: name, offsetY: -10, font: "600 12px system-ui, sans-serif",
     fill: new ol.style.Fill({ color }), stroke: new ol.style.Stroke({ color: HALO, width: 3.5 }) });
   return [
     new ol.style.Style({ stroke: new ol.style.Stroke({ color: HALO, width: 6 }) }),
     new ol.style.Style({ stroke: new ol.style.Stroke({ color: chosen ? PREDICTED : color, width: 3,
-      lineDash: record.role === "off" ? [6, 5] : undefined }), text: label }),
+      lineDash: unused ? [6, 5] : undefined }), text: label }),
     ...ends.map(end => new ol.style.Style({ geometry: new ol.geom.Point(end),
       image: new ol.style.Circle({ radius: 4, fill: new ol.style.Fill({ color: HALO }),
         stroke: new ol.style.Stroke({ color, width: 2 }) }) })),
