@@ -13,6 +13,8 @@ from pathlib import Path
 from tests.fuzz.cases import SECONDS, Outcome, run_case, unseen
 
 _CHUNK = 2500  # cases of a process, which a crash of a library would end
+_SHORT = 500
+"""Cases of a process where time is limited."""
 _START = 120.0  # s to import and to make the files
 
 
@@ -64,14 +66,19 @@ def main() -> int:
     """Run the cases and print what was found."""
     parser = argparse.ArgumentParser(prog="python -m tests.fuzz", description=__doc__)
     parser.add_argument("--cases", type=int, default=1000, help="how many cases to run")
+    parser.add_argument("--seconds", type=float, default=float("inf"),
+                        help="begin no further cases after this time")
     parser.add_argument("--first", type=int, default=0, help="the number of the first case")
     parser.add_argument("--work", type=int, nargs=2, help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.work:
         return _work(*given.work)
     start, found = time.perf_counter(), []
-    for first in range(given.first, given.first + given.cases, _CHUNK):
-        count = min(_CHUNK, given.first + given.cases - first)
+    size = _CHUNK if given.seconds == float("inf") else _SHORT
+    for first in range(given.first, given.first + given.cases, size):
+        if time.perf_counter() - start > given.seconds:
+            break
+        count = min(size, given.first + given.cases - first)
         for outcome in _chunk(first, count):
             found.append(outcome)
             if outcome.fault:

@@ -9,9 +9,11 @@ import sys
 from collections.abc import Callable
 from contextlib import redirect_stdout
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 from random import Random
 from tempfile import TemporaryDirectory
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -111,7 +113,22 @@ def surfaces(points: bytes) -> tuple[Seed, ...]:
         *(Seed("result.json", result["result.json"], use, others(result, "result.json"))
           for use in ("report", "plot")),
         *(Seed(name, pictures[name], "match", others(pictures, name)) for name in pictures),
-        *(Seed(name, plugin[name], "plugin", others(plugin, name)) for name in plugin))
+        *(Seed(name, plugin[name], "plugin", others(plugin, name)) for name in plugin),
+        *((Seed("session.jsonl", _session(), "session"),) if find_spec("termsel_app") else ()))
+
+
+def _session() -> bytes:
+    """Return the journal of a session of `termsel app`: its files, changes, undo and redo."""
+    header = {"schema": "termsel-app-1", "image": None, "maps": [], "points": None, "lines": None,
+              "rpc": None, "dem": None, "crs": "EPSG:32639", "size": [5000, 5000]}
+    point = {"id": "P01", "kind": "point", "role": "", "image": [10.5, 20.25], "ground": None}
+    whole = {**point, "role": "control", "ground": [270000.0, 3853000.0, None]}
+    line = {"id": "L01", "kind": "line", "role": "", "image": [[1.0, 2.0], [3.0, 4.0]],
+            "ground": [[270000.0, 3853000.0, 1.5], [270100.0, 3853100.0, None]]}
+    entries = [header, {"change": [[None, point]]}, {"change": [[point, whole]]},
+               {"change": [[None, line]]}, {"undo": True}, {"redo": True},
+               {"change": [[whole, {**whole, "id": "new name"}]]}]
+    return "".join(json.dumps(entry) + "\n" for entry in entries).encode()
 
 
 def _study(path: Path, random: Random) -> int:
@@ -212,5 +229,20 @@ def _plugin(path: Path, random: Random) -> int:
     return 0
 
 
-USES: dict[str, Use] = {"study": _study, "journal": _journal, "report": _report,
-                        "plot": _plot, "match": _match, "plugin": _plugin}
+def _opened_session(path: Path, random: Random) -> int:
+    """Open the session of a stranger; the process that judges its control has tests of its own."""
+    from termsel_app import command, session
+
+    worker, session.Worker = session.Worker, lambda *_: SimpleNamespace(
+        ask=lambda _: None, close=lambda: None)
+    try:
+        given, folder = command.found(session.Files(str(path.parent)), None)
+        with session.open_session(given, folder) as made:
+            json.dumps(made.state(), allow_nan=False)
+    finally:
+        session.Worker = worker
+    return 0
+
+
+USES: dict[str, Use] = {"session": _opened_session, "study": _study, "journal": _journal,
+                        "report": _report, "plot": _plot, "match": _match, "plugin": _plugin}

@@ -239,9 +239,10 @@ def role_text(row):
 def check_these(record, rows):
     """Return the blunders as the page names them; nothing where there are none."""
     sizes = {row["id"]: float(row["distance"] or 0) for row in rows}
+    unused = {row["id"] for row in rows if row["used"] == "no"}
     sentences = [f"{outlier['id']} is off by "
                  f"{sizes.get(outlier['id'], outlier['error']):.3g} px ({outlier['certainty']})."
-                 + (" The model does without it." if outlier.get("excluded") else "")
+                 + (" The model does without it." if outlier["id"] in unused else "")
                  for outlier in record.get("outliers", [])]
     return "Check these: " + " ".join(sentences) if sentences else ""
 

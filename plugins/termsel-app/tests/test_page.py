@@ -414,26 +414,29 @@ def test_five_hundred_points_leave_the_page_usable(browser: Any, tmp_path: Path)
 
 
 @pytest.mark.slow
-def test_an_image_of_30000_px_is_shown(browser: Any, tmp_path: Path) -> None:
-    shape = {"driver": "GTiff", "count": 1, "height": 30000, "width": 30000, "dtype": "uint8"}
+@pytest.mark.parametrize("side", [30_000, 100_000])
+def test_an_image_of_any_size_is_shown(side: int, browser: Any, tmp_path: Path) -> None:
+    shape = {"driver": "GTiff", "count": 1, "height": side, "width": side, "dtype": "uint8"}
+    corner = side // 1024 * 512  # of a block in the middle, the only one that has pixels
     with rasterio.open(tmp_path / "large.tif", "w", tiled=True, blockxsize=512, blockysize=512,
                        sparse_ok=True, compress="deflate", **shape) as raster:
         raster.write(np.full((1, 512, 512), 200, dtype=np.uint8),
-                     window=rasterio.windows.Window(15360, 15360, 512, 512))
+                     window=rasterio.windows.Window(corner, corner, 512, 512))
     begun = time.monotonic()
     app = App("large.tif", "--crs", "EPSG:25832", cwd=tmp_path)
     screen = open_page(browser, app.address)
-    assert time.monotonic() - begun < 15
-    screen.run("const {view} = window.termselPanes.image; view.setCenter([15600, -15600]);"
-               "view.setResolution(2)")
+    assert time.monotonic() - begun < 15 * patience()
+    middle = corner + 240.0
+    screen.run("const {view} = window.termselPanes.image; view.setCenter([arguments[0], "
+               "-arguments[0]]); view.setResolution(2)", middle)
     bright = """
         const canvas = document.querySelector('#image canvas');
         const {width, height} = canvas;
         return canvas.getContext('2d').getImageData(width / 2, height / 2, 1, 1).data[0]"""
     screen.wait(lambda: screen.run(bright) == 200)
-    screen.click("image", [15600.0, -15600.0])
+    screen.click("image", [middle, -middle])
     screen.wait(lambda: len(screen.records()) == 1)
-    assert screen.records()["P01"]["image"] == pytest.approx([15600, 15600], abs=1)
+    assert screen.records()["P01"]["image"] == pytest.approx([middle, middle], abs=1)
     screen.silent()
     app.end()
 
@@ -460,6 +463,28 @@ def test_lines_are_control_and_snap_to_the_map(browser: Any, example: Path) -> N
         record for record in screen.records().values()
         if record["kind"] == "line" and len(record["map"] or []) == 2), None))
     assert np.hypot(*(np.array(record["map"]) - ends).T).max() < 0.01
+    screen.silent()
+    app.end()
+
+
+@pytest.mark.slow
+def test_of_many_lines_the_choice_of_owdis_is_shown(browser: Any, example: Path) -> None:
+    lines = termsel.read(lines=example / "files" / "lines.csv")
+    termsel.write_lines_csv(lines.lines.take(np.arange(12)), example / "twelve.csv", lines.crs)
+    app = App("files/scene.tif", "--map", "files/ortho.tif", "--lines", "twelve.csv", "--out",
+              "of-lines", cwd=example)
+    screen = open_page(browser, app.address)
+    chosen = screen.wait(lambda: screen.run(
+        "return window.termselState.answers.lines?.chosen"))
+    assert 3 < len(chosen) < 12
+    assert f"OWDIS uses {len(chosen)} of 12 lines" in screen.text("model")
+    rows = screen.text("rows")
+    assert rows.count("not chosen by OWDIS") == 12 - len(chosen)
+    assert rows.count("chosen by OWDIS") == 12
+    for side in ("image", "map"):  # both panes draw it: dashed where it is not used
+        unused = screen.run("return window.termselPanes[arguments[0]].control.getFeatures()"
+                            ".filter(line => line.get('unused')).map(line => line.getId())", side)
+        assert sorted([*unused, *chosen]) == sorted(screen.records())
     screen.silent()
     app.end()
 
