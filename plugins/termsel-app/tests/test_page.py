@@ -24,6 +24,7 @@ import pytest
 import rasterio
 
 import termsel
+from termsel_app.quality import accuracy
 from termsel_app.rasters import png
 
 REQUIRED = os.environ.get("TERMSEL_BROWSER") == "required"
@@ -383,8 +384,9 @@ def test_the_result_that_is_saved_has_the_figures_of_the_page(
     shown = measured.text("accuracy")
     measured.save("Result folder")
     result = termsel.read_result(example / "measured" / "result")
-    assert result.predicted is not None
-    assert shown.split()[0] == f"{result.predicted.rmse:.3g}"
+    figure = accuracy(result)
+    assert figure is not None
+    assert shown.split()[0] == f"{figure['px'][0]:.3g}"
     measured.silent()
 
 
@@ -479,8 +481,8 @@ def test_of_many_lines_the_choice_of_owdis_is_shown(browser: Any, example: Path)
     assert 3 < len(chosen) < 12
     assert f"OWDIS uses {len(chosen)} of 12 lines" in screen.text("model")
     rows = screen.text("rows")
-    assert rows.count("not chosen by OWDIS") == 12 - len(chosen)
-    assert rows.count("chosen by OWDIS") == 12
+    assert rows.count("line, not used by OWDIS") == 12 - len(chosen)
+    assert rows.count("line, used by OWDIS") == len(chosen)
     for side in ("image", "map"):  # both panes draw it: dashed where it is not used
         unused = screen.run("return window.termselPanes[arguments[0]].control.getFeatures()"
                             ".filter(line => line.get('unused')).map(line => line.getId())", side)

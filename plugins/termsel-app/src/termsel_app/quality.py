@@ -228,7 +228,8 @@ def _next_places(result: Result) -> Answer:
     try:
         places = plan(result.as_exported(), NEXT)
     except TermselError as error:
-        return {"next": [], "enough": {"text": f"{error.what}.", "reached": False}}
+        text = f"{error.what[:1].upper()}{error.what[1:]}."
+        return {"next": [], "enough": {"text": text, "reached": False}}
     rows = [{"line": line, "sample": sample, "ground": [x, y, None if z != z else z],
              "uncertainty": left}
             for line, sample, x, y, z, left in places.values.tolist()]

@@ -239,8 +239,8 @@ function compared(a, b) {
 function tableRow(row, roles, lines, chosen, choose) {
   const { record } = row;
   const role = record.role || (record.kind === "line" ? "control" : roles[record.id] ?? "");
-  const byOwdis = !lines || role === "off" ? "" : lines.includes(record.id) ? ", chosen by OWDIS" : ", not chosen by OWDIS";
-  const said = record.kind === "line" ? `line, ${role}${byOwdis}` : record.role || !role ? role
+  const line = !lines || role === "off" ? `line, ${role}` : lines.includes(record.id) ? "line, used by OWDIS" : "line, not used by OWDIS";
+  const said = record.kind === "line" ? line : record.role || !role ? role
     : role === "off" ? "left out as a blunder" : `${role} (automatic)`;
   const number = (text, wrong = false) => make("td", { class: wrong ? "number wrong" : "number", textContent: text });
   return make("tr", {
