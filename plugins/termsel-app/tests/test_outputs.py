@@ -27,7 +27,7 @@ TIMES = frozenset(("seconds", "checksums"))
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The files of the tutorial, with twelve of its points."""
-    from termsel.toolkit import write_example
+    from termsel.toolkit.files import write_example
 
     folder = tmp_path_factory.mktemp("scene") / "files"
     write_example(folder)
