@@ -219,7 +219,8 @@ def _near(error: click.ClickException) -> str:
 
 def _printing_alone(command: click.Command) -> click.Command:
     """Return a built-in command while which nothing else prints on stdout; its help page may."""
-    command, invoke = copy(command), command.invoke
+    invoke = command.invoke
+    command = copy(command)
 
     def alone(ctx: click.Context) -> Any:
         take_stdout()

@@ -30,7 +30,8 @@ def give_back_stdout() -> None:
     """Undo `take_stdout`."""
     global _results
     if _results is not None:
-        _results, sys.stdout = None, _results
+        sys.stdout = _results
+        _results = None
 
 
 def stdout() -> TextIO:

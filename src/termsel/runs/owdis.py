@@ -72,7 +72,8 @@ def with_selected_lines(control: FitData, choice: Choice, auto: Auto,
 
 def _selected(control: FitData, seed: int) -> FitData | None:
     """Return the points and the lines that OWDIS selects by them; None where it cannot."""
-    features, points = control.features, control.features.points
+    features = control.features
+    points = features.points
     judging = Points(points.ids, points.image, points.ground, points.sigma,
                      ("check",) * len(points))
     try:

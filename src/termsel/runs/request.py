@@ -107,7 +107,8 @@ def method_words(model: Any = None, solver: Any = None, criterion: Any = None,
                  options: Mapping[str, Any] | None = None) -> list[str]:
     """Return the words for what is asked for of a method, which "auto" would choose itself."""
     # Plain, or with the part they are of before a dot.
-    of_data = {name for option in DATA_OPTIONS for name in (option.name, f"data.{option.name}")}
+    of_data = {option.name for option in DATA_OPTIONS}
+    of_data |= {f"data.{name}" for name in of_data}
     named = [role for role, component in (
         ("model", model), ("solver", solver), ("criterion", criterion)) if component]
     return [*named, *(f"the option {key}" for key in options or () if key not in of_data)]
@@ -179,28 +180,39 @@ def _by_parts(recipe: Recipe, components: Mapping[str, Any],
     """Return the given options by part of the run."""
     declared = {"data": DATA_OPTIONS, "search": SEARCH_OPTIONS,
                 **{role: component.declared_options for role, component in components.items()}}
-    elsewhere = {option.name for options in declared.values() for option in options}
+    elsewhere = _names_of(declared)
     of_problem = [*recipe.options, *(option for option in undeclared_options(recipe)
                                      if option.name not in elsewhere)]
     _refuse_of_others(settings, {"problem": of_problem, **declared})
     return by_part(settings, {"problem": of_problem, **declared})
 
 
-def _refuse_of_others(given: Mapping[str, Any], declared: Mapping[str, Iterable[Option]]) -> None:
+def _refuse_of_others(settings: Mapping[str, Any],
+                      declared: Mapping[str, Iterable[Option]]) -> None:
     """Refuse an option that only models, solvers or criteria have which are not used, by name."""
-    names = {option.name for options in declared.values() for option in options}
-    for key in given:
+    names = _names_of(declared)
+    for key in settings:
         if key in names or "." in key:
             continue
         for kind in ("criteria", "models", "solvers"):
-            owners = [entry.name for entry in registry().entries(kind)
-                      if key in {option.name for option in entry.object.declared_options}]
+            owners = []
+            for entry in registry().entries(kind):
+                if any(option.name == key for option in entry.object.declared_options):
+                    owners.append(entry.name)
             if owners:
-                word = KINDS[kind].word
+                role = KINDS[kind].word
                 raise TermselError(
-                    f"{key!r} is an option of the {word} {' and '.join(owners[:3])}, which this "
-                    "run does not use", hint=f"Add --{word} {owners[0]}, or leave it out.",
+                    f"{key!r} is an option of the {role} {' and '.join(owners[:3])}, which this "
+                    "run does not use", hint=f"Add --{role} {owners[0]}, or leave it out.",
                     name=key)
+
+
+def _names_of(declared: Mapping[str, Iterable[Option]]) -> set[str]:
+    """Return the names of the options of all parts."""
+    names: set[str] = set()
+    for options in declared.values():
+        names |= {option.name for option in options}
+    return names
 
 
 def problem_for(features: FeatureSet | None, dataset: str | DatasetSpec | None = None) -> str:

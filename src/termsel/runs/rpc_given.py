@@ -50,7 +50,8 @@ def _refuse_feet(rpc: Rpc, positions: FloatArray, image: FloatArray) -> None:
     if not len(positions):
         return
     # The range of an RPC is its offset plus and minus its scale.
-    middle, half = rpc.ground_offset[2], rpc.ground_scale[2]
+    middle = rpc.ground_offset[2]
+    half = rpc.ground_scale[2]
     in_metres = positions * [1.0, 1.0, UNITS[FOOT]]
     metres, feet = (float(np.median(heights)) for heights in (in_metres[:, 2], positions[:, 2]))
     # Plausible as metres, or implausible as feet: then there is nothing to refuse.

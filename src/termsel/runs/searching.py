@@ -210,8 +210,10 @@ def finding_of(task: Task, search: SearchResult, auto: Auto,
     plugins = plugins_of(task.request)
     # Members of the front and the best of each size share fits, by their genes.
     sizes = _sizes(task, search)
-    members = {genes.tobytes(): _member(task, genes)
-               for genes in (*search.front, *(size.genes for size in sizes))}
+    members = {genes.tobytes(): _member(task, genes) for genes in search.front}
+    for size in sizes:
+        if size.genes.tobytes() not in members:
+            members[size.genes.tobytes()] = _member(task, size.genes)
 
     def baselines(in_roles: Observations) -> tuple[Baseline, ...]:
         return (baseline("all-terms", all_terms, None, in_roles, ("control",)),
