@@ -182,11 +182,12 @@ class PredictedStatement:
 def prediction_statement(source: str, prediction: Prediction) -> PredictedStatement:
     """Return the statement on a predicted accuracy."""
     why = "not stated, as no independent check points were measured: a prediction is no test"
-    ground = prediction.metres or (None, None, None)
+    rmse, low, high = prediction.metres or (None, None, None)
     return PredictedStatement(
-        source, prediction.rmse, prediction.low, prediction.high, prediction.level, *ground,
-        prediction.method, prediction.points, prediction.sentence,
-        (Statement("ASPRS", None, why), Statement("NSSDA", None, why)))
+        source, prediction.rmse, prediction.low, prediction.high, prediction.level,
+        rmse_ground=rmse, low_ground=low, high_ground=high, method=prediction.method,
+        points=prediction.points, words=prediction.sentence,
+        statements=(Statement("ASPRS", None, why), Statement("NSSDA", None, why)))
 
 
 def statements_of(ground_errors: GroundErrors, horizontal_class: float | None = None,

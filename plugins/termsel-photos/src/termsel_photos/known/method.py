@@ -104,7 +104,7 @@ def _errors_of(model: KnownFrame, camera: Pinhole, image: FloatArray) -> FloatAr
 
 def _through_lens(model: KnownFrame, camera: Pinhole, ground: FloatArray) -> FloatArray:
     """Return derivatives of what is seen of places (m, 3) by the unknowns, (m, 2, 9)."""
-    slopes = camera.camera.slopes(ground)[0]
+    slopes: FloatArray = camera.camera.slopes(ground)[0]
     if model.lens.is_ideal:
         return slopes
     ideal = camera.camera.image(ground)[0]

@@ -6,7 +6,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from termsel import (
     Equations,
@@ -249,12 +248,16 @@ class KnownFrame(SensorModel):
 
     def values_of(self, camera: Cameras) -> FloatArray:
         """Return the values of terms of one camera, (9,)."""
+        from scipy.spatial.transform import Rotation  # not for every choice
+
         turn = Rotation.from_matrix(camera.rotation[0] @ self._downwards.T).as_rotvec()
         middle = camera.middle[0] - self._middle
         return np.array([*turn, *camera.shift[0], np.log(camera.focal[0] / self.focal), *middle])
 
     def camera_of(self, values: FloatArray) -> Cameras:
         """Return the cameras of values of terms (s, 9)."""
+        from scipy.spatial.transform import Rotation
+
         rotation = Rotation.from_rotvec(values[:, :3]).as_matrix() @ self._downwards
         return Cameras(rotation, values[:, 3:6], self.focal * np.exp(values[:, 6]),
                                self._middle + values[:, 7:])
