@@ -170,7 +170,7 @@ def test_the_command_leaves_out_options_of_the_searches() -> None:
 def test_it_takes_whatever_run_takes() -> None:
     names = [set(re.findall(r"^ +(?:-\w, )?(--[a-z-]+)", invoke(*words).stdout, re.M))
              for words in (("run", "--help-all"), ("stability", "--help"))]
-    assert names[0] - names[1] == {"--verbose", "--help-all"}
+    assert names[0] - names[1] == {"--verbose", "--help-all", "--checkpoint"}
     assert names[1] - names[0] == {"--repeats", "--threshold"}
 
 

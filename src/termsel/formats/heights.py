@@ -167,7 +167,7 @@ def open_dem(path: Path, crs: str) -> Iterator[Dem]:
     --------
     >>> import tempfile, termsel
     >>> from pathlib import Path
-    >>> from termsel.toolkit import write_example
+    >>> from termsel.toolkit.files import write_example
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     files = Path(folder) / "files"
     ...     _ = write_example(files)

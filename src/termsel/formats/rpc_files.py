@@ -77,7 +77,7 @@ def read_rpc(path: Path | str) -> Rpc:
     --------
     >>> import tempfile, termsel
     >>> from pathlib import Path
-    >>> from termsel.toolkit import write_example
+    >>> from termsel.toolkit.files import write_example
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     files = Path(folder) / "files"
     ...     _ = write_example(files)
