@@ -88,7 +88,7 @@ def _images(rows: list[Row]) -> TableBlock:
     usual = usual_notes(rows)
     return TableBlock(
         f"{counted(len(rows), 'image')}, worst first",
-        ("image", "model", "predicted RMSE [px]", "independent RMSE [px]", "blunders", "notes"),
+        ("image", "model", "predicted RMSE [px]", "ICP RMSE [px]", "blunders", "notes"),
         [(str(row["data"]) + (f", split {row['split']}" if row["split"] else ""),
           str(row["chosen"] or row["state"]), _predicted(row), shown(row["independent"], 3),
           ", ".join(row["blunders"] or ()), _said(row, usual))
