@@ -244,10 +244,10 @@ def test_every_format_says_its_deviation_or_that_it_holds_measurements(
             continue
         if name in MEASURED:
             assert said(relief, name, tmp_path / f"{name}.x", caplog) == []
-            assert f"{name} holds the measurements and their residuals, not" in caplog.text
+            assert f"{name} contains the measurements and their residuals, not" in caplog.text
         elif name in POINTS:
             assert said(relief, name, tmp_path / f"{name}.x", caplog) == []
-            assert f"{name} holds the control points, not the model" in caplog.text
+            assert f"{name} contains the control points, not the model" in caplog.text
         else:
             assert said(relief, name, tmp_path / f"{name}.vrt", caplog)
 

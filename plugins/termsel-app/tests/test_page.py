@@ -153,7 +153,7 @@ class Screen:
         self.wait(lambda: len(self.records()) == number)
 
     def measured(self, name: str) -> None:
-        """Wait until a point has a place on the ground."""
+        """Wait until a point has ground coordinates."""
         self.wait(lambda: self.records()[name]["ground"])
 
     def answered(self) -> None:

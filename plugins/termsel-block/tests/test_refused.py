@@ -129,8 +129,8 @@ def test_a_table_of_ties_names_line_and_column(folder: Path, row: str, message: 
 
 
 @pytest.mark.parametrize(("place", "message"), [
-    (",1.5,2.5", "all 3 ties of image 'A' are at one place in it"),
-    (",{k}1.5,2.5", "images 'A' and 'B' have all 3 common ties at the same places")])
+    (",1.5,2.5", "all 3 ties of image 'A' are at one position in it"),
+    (",{k}1.5,2.5", "images 'A' and 'B' have all 3 common ties at the same positions")])
 def test_a_copy_of_an_image_is_refused(folder: Path, place: str, message: str) -> None:
     (folder / "copy.csv").write_text("id,image,line,sample\n" + "".join(
         f"{k},{name}{place.format(k=k)}\n" for k in range(3) for name in "AB"))

@@ -275,7 +275,7 @@ def test_points_of_arcgis_are_those_that_gdal_reads(tmp_path: Path) -> None:
 
 def test_a_world_file_needs_its_image(tmp_path: Path) -> None:
     (tmp_path / "scene.tfw").write_text(WORLD)
-    with pytest.raises(TermselError, match="no image next to"):
+    with pytest.raises(TermselError, match="no image beside"):
         termsel.read(tmp_path / "scene.tfw")
     with pytest.raises(TermselError, match="does not exist"):
         termsel.read(tmp_path / "scene.tfw", image=tmp_path / "other.tif")
@@ -319,7 +319,7 @@ def test_a_point_without_a_line_is_named(tmp_path: Path) -> None:
 
 def test_marks_of_pix4d_need_the_ground(tmp_path: Path) -> None:
     (tmp_path / "marks.csv").write_text(MARKS)
-    with pytest.raises(TermselError, match="marks say where points are in the image alone"):
+    with pytest.raises(TermselError, match="the marks have image coordinates only"):
         termsel.read(tmp_path / "marks.csv")
     shutil.copy(GOLDEN / "pix4d_gcps.csv", tmp_path / "marks_gcps.csv")
     with pytest.raises(TermselError, match=r"images IMG_1\.JPG, IMG_2\.JPG"):

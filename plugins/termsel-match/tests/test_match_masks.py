@@ -63,7 +63,7 @@ def test_geojson_may_be_in_px_though_it_always_has_a_crs(place: Any, says: Any,
     code, text = says("match-points", place / "image.tif", "--reference", place / "ortho.tif",
                       "--mask", nowhere, "-o", tmp_path / "c.csv")
     assert code == 2
-    assert "have no place in the CRS of the reference" in text
+    assert "cannot be converted to the CRS of the reference" in text
 
 
 def test_a_mask_that_touches_nothing_is_told(place: Any, tmp_path: Path,

@@ -89,7 +89,7 @@ def test_the_example_of_the_asprs_standards(tmp_path: Path) -> None:
     assert "RMSE3D Three-Dimensional Positional Accuracy Class. The tested three-dimensional " \
         "accuracy was found to be RMSE3D = 16.8 cm within the NVA tested area" in \
         by_name["ASPRS three-dimensional"].words
-    assert "nothing says which check points are under vegetation" in \
+    assert "it is not known which check points are under vegetation" in \
         by_name["ASPRS vegetated vertical"].words
 
 

@@ -88,7 +88,7 @@ def _size(length: float) -> str:
 
 def say_measured(name: str) -> None:
     """Log that a format holds measurements and no model, so that nothing deviates."""
-    log.info("%s holds the measurements and their residuals, not the model.", name)
+    log.info("%s contains the measurements and their residuals, not the model.", name)
 
 
 def say_nearest(name: str, fitted: Fit, xy: FloatArray, image: FloatArray,

@@ -70,8 +70,9 @@ class Georeference(Algorithm):
 
     NAME, TITLE, GROUP = "georeference", "Georeference from points", "Georeferencing"
     HELP = (
-        "Chooses a model for an image from ground control points, names blunders, and says how "
-        "accurate the result is.\n\nPoints are a layer with fields of line and sample (rows and "
+        "Chooses a model for an image from ground control points, names blunders, and reports "
+        "the accuracy of the result.\n\nPoints are a layer with fields of line and sample (rows "
+        "and "
         "columns in the image, the centre of the upper left pixel is 0, 0), or a file: .points of "
         "QGIS's georeferencer, CSV, or any other that termsel reads.\n\n"
         "Points with the role independent judge the result and take no part in it. The output "
@@ -95,7 +96,7 @@ class Georeference(Algorithm):
         add(QgsProcessingParameterCrs("CRS", "CRS of the file, if it states none", optional=True))
         add(QgsProcessingParameterRasterLayer("DEM", "Raster of heights", optional=True))
         add(QgsProcessingParameterRasterLayer(
-            "IMAGE", "Image: its size, its RPC and its camera, where it states them",
+            "IMAGE", "Image: its size, and its RPC and camera if it states them",
             optional=True))
         add(QgsProcessingParameterFile("RPC", "RPC of the vendor", optional=True))
         add(QgsProcessingParameterFile("LINES", "File of control lines", optional=True))

@@ -54,7 +54,7 @@ class Rectify(Algorithm):
                                          minValue=0))
         add(QgsProcessingParameterEnum("RESAMPLING", "Resampling", _RESAMPLING, defaultValue=0,
                                        optional=True))
-        add(QgsProcessingParameterNumber("NODATA", "Value where the map shows nothing",
+        add(QgsProcessingParameterNumber("NODATA", "Value outside the image",
                                          QgsProcessingParameterNumber.Type.Double, optional=True))
         add(QgsProcessingParameterRasterDestination("OUTPUT", "Map"))
 
@@ -132,8 +132,8 @@ class ExportModel(Algorithm):
 
     NAME, TITLE, GROUP = "export", "Export model", "Results"
     HELP = ("Writes the model of a result for GDAL, QGIS, OTB and others: as an RPC, as GCPs, as a "
-            "geolocation array, or as points of QGIS's georeferencer. The log says how far the "
-            "file is from the model.")
+            "geolocation array, or as points of QGIS's georeferencer. The log gives the largest "
+            "distance of the file from the model.")
 
     def initAlgorithm(self, config=None):
         """Declare parameters and outputs."""
@@ -197,7 +197,7 @@ class NextPlaces(Algorithm):
     def initAlgorithm(self, config=None):
         """Declare parameters and outputs."""
         self.addParameter(result_parameter())
-        self.addParameter(QgsProcessingParameterNumber("NUMBER", "Number of places",
+        self.addParameter(QgsProcessingParameterNumber("NUMBER", "Number of positions",
                                                        defaultValue=5, minValue=1))
         self.addParameter(QgsProcessingParameterFeatureSink(
             "OUTPUT", "Places", QgsProcessing.SourceType.TypeVectorPoint))

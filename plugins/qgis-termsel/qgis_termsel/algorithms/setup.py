@@ -25,10 +25,10 @@ class SetUp(Algorithm):
     """Make the environment, or state where termsel is."""
 
     NAME, TITLE, GROUP = "setup", "Set up termsel", "Setup"
-    HELP = ("Installs termsel in a virtual environment of its own, with python -m venv and pip; "
-            "the log shows all that they say. Or state an environment that has termsel.\n\n"
-            "Packages are names of a package index or folders, with spaces between them. A path "
-            "with a space stands in quotes.")
+    HELP = ("Installs termsel in a separate virtual environment, with python -m venv and pip; "
+            "the log shows their output. Or state an environment that has termsel.\n\n"
+            "Packages are names of a package index or folders, with spaces between them. Quote a "
+            "path with a space.")
 
     def initAlgorithm(self, config=None):
         """Declare parameters and outputs."""

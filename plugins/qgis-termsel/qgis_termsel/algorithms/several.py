@@ -23,15 +23,15 @@ class MatchReference(Algorithm):
     """Find candidates of control in an image and a map."""
 
     NAME, TITLE, GROUP = "match", "Match against reference", "Georeferencing"
-    HELP = ("Finds places that an image and an orthophoto have in common, as a table of candidate "
-            "points. Some are wrong: Georeference from points names them. It needs the package "
+    HELP = ("Finds points that an image and an orthophoto have in common, as a table of matches. "
+            "Some are wrong: Georeference from points names them. It needs the package "
             "termsel-match.")
 
     def initAlgorithm(self, config=None):
         """Declare parameters and outputs."""
         add = self.addParameter
         add(QgsProcessingParameterRasterLayer("IMAGE", "Image"))
-        add(QgsProcessingParameterRasterLayer("REFERENCE", "Georeferenced image of the place"))
+        add(QgsProcessingParameterRasterLayer("REFERENCE", "Georeferenced image of the same area"))
         add(QgsProcessingParameterRasterLayer("DEM", "Raster of heights", optional=True))
         add(QgsProcessingParameterFile("START", "Rough geometry: a file with an RPC or of three "
                                        "points, if the image has none", optional=True))

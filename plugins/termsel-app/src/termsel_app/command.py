@@ -22,7 +22,7 @@ EXAMPLE = "termsel-example"
 @click.command()
 @click.argument("image", metavar="[IMAGE|DIR]", required=False)
 @click.option("--map", "maps", metavar="FILE", multiple=True,
-              help="A georeferenced raster or a vector file, shown next to the image; or tiles by "
+              help="A georeferenced raster or a vector file, shown beside the image; or tiles by "
                    "their address, with {x}, {y} and {z}, which are fetched from there. May be "
                    "repeated.")
 @click.option("--points", metavar="FILE", type=_FILE,
@@ -117,7 +117,7 @@ def found(given: Files, folder: Path | None) -> tuple[Files, Path]:
     if (place / "result.json").exists():
         beside = place.with_name(f"{place.name}-control")
         return of_result(place, given), folder or by_default(beside)
-    raise TermselError("this folder holds neither a session nor a result", file=place,
+    raise TermselError("this folder contains neither a session nor a result", file=place,
                        hint="Give an image, or the folder that `termsel app` or `termsel run "
                             "--out` wrote.")
 

@@ -181,7 +181,7 @@ def _places(value: Any, size: int, count: int | None) -> Any:
 
 def _place(value: Any, size: int) -> list[float | None]:
     if not isinstance(value, list) or len(value) != size:
-        raise TermselError(f"a place has {size} coordinates")
+        raise TermselError(f"a position has {size} coordinates")
     if size == 3 and value[2] is None:
         return [*(_number(number) for number in value[:2]), None]
     return [_number(number) for number in value]

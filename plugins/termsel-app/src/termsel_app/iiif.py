@@ -54,7 +54,8 @@ def fetched(address: str, remote: bool) -> IiifImage:
     description.
     """
     if not remote:
-        raise TermselError("this image is on a server, and no server may be asked", file=address,
+        raise TermselError("this image is on a server, and access to servers is not allowed",
+                           file=address,
                            hint="Add --allow-remote.")
     if find_spec("termsel_iiif") is None:
         raise TermselError("images of the IIIF need the package termsel-iiif", file=address,

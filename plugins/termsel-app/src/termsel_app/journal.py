@@ -144,8 +144,8 @@ def read_entries(file: FileIO, path: Path) -> tuple[list[dict[str, Any]], int]:
 
 def _header(entry: dict[str, Any], path: Path) -> dict[str, Any]:
     if entry.get("schema") != SCHEMA:
-        raise TermselError(f"this is no session of termsel app: its first line does not say "
-                           f"{SCHEMA}", file=path, line=1)
+        raise TermselError(f"this is no session of termsel app: its first line lacks {SCHEMA}",
+                           file=path, line=1)
     return {key: value for key, value in entry.items() if key != "schema"}
 
 

@@ -229,7 +229,7 @@ def _shown(name: str, shapes: Any, crs: str | None, shown: str) -> VectorLayer:
     if count > MOST_VERTICES:
         raise TermselError(f"this layer has {count:,} vertices, and the page shows at most "
                            f"{MOST_VERTICES:,}", file=name,
-                           hint="Cut out the place, for example with ogr2ogr -spat.")
+                           hint="Cut out the area, for example with ogr2ogr -spat.")
     transformer = between(normalise(crs), shown)
     shapes = shapely.transform(shapes, lambda xy: turned(transformer, xy))
     features = [{"type": "Feature", "properties": {}, "geometry": shapely.geometry.mapping(shape)}
@@ -247,4 +247,4 @@ def _say_far(maps: Maps) -> None:
         apart = (box[0] > first[2] or box[2] < first[0] or box[1] > first[3] or box[3] < first[1])
         if apart:
             maps.notes.append(f"{name} does not overlap {layers[0][0]}: is it a map of another "
-                              "place?")
+                              "area?")

@@ -71,7 +71,7 @@ def refined_place(session: Session, name: str) -> dict[str, Any]:
     prediction = require(session)
     record = session.control.records.get(name)
     if record is None or record["kind"] != "point" or not record["image"] or not record["ground"]:
-        raise TermselError("only a point with both places can be refined")
+        raise TermselError("only a point with both positions can be refined")
     first, second = _windows(session, prediction, record)
     for matcher in _MATCHERS:
         shift = _agreed(_shifts(termsel.get("matchers", matcher)(), first, second))
@@ -126,7 +126,7 @@ def _windows(session: Session, prediction: Prediction, record: Record) -> tuple[
         seen = _seen(raster, on_map, session.maps.shown, side)
         if seen[1].mean() > 0.5:
             return Window(*_grey(picture)), Window(*seen)
-    raise TermselError("no raster of the map shows this place")
+    raise TermselError("no raster of the map shows this position")
 
 
 def _seen(raster: MapRaster, on_map: FloatArray, shown: str, side: int) -> tuple[Any, Any]:

@@ -121,7 +121,7 @@ class Guarded(RequestHandler):
     def log_exception(self, *details: Any) -> None:
         """Say nothing of what is refused, and of a fault all but the request with its secret."""
         if not isinstance(details[1], HTTPError):
-            log.error("The page asked for something, and that failed.", exc_info=details)
+            log.error("A request of the page failed.", exc_info=details)
 
     @property
     def session(self) -> Session:

@@ -262,7 +262,7 @@ class Session:
         ground = self.places.to_ground(xy)
         if not np.isfinite(ground[:, :2]).all():
             raise TermselError(f"this place has no coordinates in {self.places.crs}",
-                               hint="Choose a place within its area.")
+                               hint="Choose a position within its area.")
         return [[x, y, None if z != z else z] for x, y, z in ground.tolist()]
 
     def put(self, given: Mapping[str, Any]) -> str:
@@ -364,11 +364,11 @@ class Session:
 def checked_places(places: Any) -> list[list[float]]:
     """Return pairs of finite numbers that came from a page."""
     if not isinstance(places, list) or not 1 <= len(places) <= 2:
-        raise TermselError("these are no places")
+        raise TermselError("these are no positions")
     for place in places:
         if not isinstance(place, list) or len(place) != 2 or not all(
                 isinstance(value, int | float) and abs(value) < LARGEST for value in place):
-            raise TermselError("a place has two finite coordinates")
+            raise TermselError("a position has two finite coordinates")
     return places
 
 

@@ -82,7 +82,7 @@ def certifier(problem: Problem, rooms: Sequence[int],
                           for axis in nothing])
     except (Refused, ValueError) as error:
         raise TermselError(
-            f"no certificate can hold this problem: {error}",
+            f"no certificate can represent this problem: {error}",
             hint="Choose a lower degree or order, which has fewer terms and less small values, or "
                  "search without the option certificate.") from error
 

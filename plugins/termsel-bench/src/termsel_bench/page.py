@@ -20,8 +20,8 @@ def document(scores: Sequence[Score], title: str = AUTO.title) -> Document:
     best = best_of(scores)
     sets = dict.fromkeys(score.set_name for score in scores)
     worse = losses(scores, title)
-    summary = TableBlock("Median ratio of the RMSE to the least of each set; - where the method "
-                         "has no result on half of the sets or more.", tuple(header),
+    summary = TableBlock("Median ratio of the RMSE to the least of each set; - if the method has "
+                         "no result on half of the sets or more.", tuple(header),
                          [tuple(row) for row in rows])
     lost = TableBlock(
         f"Sets where {title} loses by more than {100 * (NEAR - 1):.0f} %",

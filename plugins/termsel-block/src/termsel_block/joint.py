@@ -237,8 +237,8 @@ def _refuse_contradiction(adjusted: Adjusted, inputs: list[ImageInput]) -> None:
     sigma = adjusted.state.sigma_ties
     if extents and sigma > ABSURD * np.median(extents):
         raise TermselError(f"the ties contradict one another: they differ by {sigma:.3g} px",
-                           hint="Check that an id is one place in all images, and that line and "
-                                "sample are not exchanged.")
+                           hint="Check that an id is the same point in all images, and that line "
+                                "and sample are not exchanged.")
 
 
 def _places(block: Block) -> FloatArray:

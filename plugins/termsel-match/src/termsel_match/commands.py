@@ -28,7 +28,7 @@ NOT_GOOD_ENOUGH = 3
 """Exit code of `auto-georeference` without a map."""
 
 _START = ("Rough geometry: a file with an RPC, a folder with a result, a file of three points or "
-          "more, 'corners' or 'none'. By default what the image says of itself.")
+          "more, 'corners' or 'none'. By default that of the image itself.")
 
 
 class Number(click.FloatRange):
@@ -52,7 +52,7 @@ def reference_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options of commands that look at a reference."""
     for option in reversed((
             click.option("--dem", metavar="FILE", type=_FILE, help="Raster of heights of the "
-                                                                   "place."),
+                                                                   "area."),
             click.option("--start", metavar="START", help=_START),
             click.option("--search", metavar="PX", default=100.0, show_default=True,
                          type=Number(4, 2000),
@@ -62,15 +62,16 @@ def reference_options(command: Callable[..., Any]) -> Callable[..., Any]:
             click.option("--seconds", metavar="S", type=Number(0, min_open=True),
                          help="Time for the matching, which then goes on with what it has."),
             click.option("--mask", "masks", metavar="FILE", multiple=True,
-                         help="Polygons where nothing is matched, on the ground, or in px of the "
-                              "image where they have no CRS. By default clouds and water, where "
+                         help="Polygons in which nothing is matched, on the ground, or in px of "
+                              "the image if they have no CRS. By default clouds and water, if "
                               "the bands show them; 'none' for nothing."),
             click.option("--band", type=int, help="Band of the image, from 1; by default the mean "
                                                   "of all."),
             click.option("--reference-band", type=int, help="Band of the reference."),
-            click.option("--matcher", metavar="NAME", help="What finds places that look "
-                         "alike (termsel list matchers). By default sift, and structure where "
-                         "that finds none."),
+            click.option("--matcher", metavar="NAME", help="Method that finds similar patches "
+                                                           "(termsel list matchers). By default "
+                                                           "sift, and structure in cells in "
+                                                           "which that finds none."),
             click.option("--set", "settings", metavar="KEY=VALUE", multiple=True,
                          help="Option of the matcher, such as weights=FILE."))):
         command = option(command)
@@ -96,7 +97,7 @@ def matcher_of(name: str | None, settings: tuple[str, ...]) -> Matcher | None:
 @click.command("match-points")
 @click.argument("image", metavar="IMAGE", type=_FILE)
 @click.option("--reference", metavar="FILE", required=True, type=_FILE,
-              help="Georeferenced image of the place, such as an orthophoto.")
+              help="Georeferenced image of the same area, such as an orthophoto.")
 @reference_options
 @click.option("--output", "-o", metavar="FILE", default="candidates.csv", show_default=True,
               type=_FILE, help="Table of candidate points to write.")
@@ -139,7 +140,7 @@ def match_points(image: Path, reference: Path, output: Path, overwrite: bool, qu
 @click.argument("image", metavar="IMAGE", type=_FILE)
 @click.option("--vectors", metavar="FILE", required=True, type=_FILE,
               help="Lines of a map, such as roads, in any CRS.")
-@click.option("--dem", metavar="FILE", type=_FILE, help="Raster of heights of the place.")
+@click.option("--dem", metavar="FILE", type=_FILE, help="Raster of heights of the area.")
 @click.option("--start", metavar="START", help=_START)
 @click.option("--search", metavar="PX", default=60.0, show_default=True,
               type=Number(4, 2000), help="Largest distance of a line from the start.")
@@ -201,7 +202,7 @@ def match_lines(image: Path, vectors: Path, iterate: bool, folder: Path | None, 
 @click.command("match-ties")
 @click.argument("images", metavar="IMAGE...", nargs=-1, required=True, type=_FILE)
 @click.option("--dem", metavar="FILE", type=_FILE, required=True,
-              help="Raster of heights of the place.")
+              help="Raster of heights of the area.")
 @click.option("--search", metavar="PX", default=100.0, show_default=True,
               type=Number(4, 2000),
               help="Largest distance of a tie from where both geometries see it.")
@@ -212,7 +213,7 @@ def match_lines(image: Path, vectors: Path, iterate: bool, folder: Path | None, 
 @click.option("--mask", "masks", metavar="FILE", multiple=True,
               help="Polygons in px of the images where nothing is matched; see match-points.")
 @click.option("--band", type=int, help="Band of all images, from 1; by default the mean of all.")
-@click.option("--matcher", metavar="NAME", help="What finds places that look alike; by default "
+@click.option("--matcher", metavar="NAME", help="Method that finds similar patches; by default "
                                                 "sift.")
 @click.option("--set", "settings", metavar="KEY=VALUE", multiple=True,
               help="Option of the matcher, such as weights=FILE.")
@@ -249,7 +250,7 @@ def match_ties(images: tuple[Path, ...], dem: Path, output: Path, overwrite: boo
 @click.command("auto-georeference")
 @click.argument("image", metavar="IMAGE", type=_FILE)
 @click.option("--reference", metavar="FILE", type=_FILE,
-              help="Georeferenced image of the place, such as an orthophoto.")
+              help="Georeferenced image of the same area, such as an orthophoto.")
 @click.option("--points", metavar="FILE", type=_FILE,
               help="Candidates that are matched already, by match-points or another program.")
 @click.option("--vectors", metavar="FILE", type=_FILE,

@@ -22,7 +22,7 @@ RPC = Option("rpc", "", "Required: the RPC to refine, as a file in any form that
 
 LINE_FORM = Option("line_form", "vector", "Equations of control lines: vector, the ground "
                    "vertices lie on the image line; parametric, each measured end lies at an "
-                   "unknown place along the projected ground line.",
+                   "unknown position along the projected ground line.",
                    choices=("vector", "parametric"))
 
 _AXES = ("line", "sample")

@@ -114,7 +114,7 @@ class JitteredRpc(CorrectedRpc):
 
     def describe(self, fitted: Fit) -> str:
         """Return how many intervals there are."""
-        return (f"The points call for a correction of the vendor's RPC that changes along the "
+        return (f"The points support a correction of the vendor's RPC that changes along the "
                 f"lines, over {fitted.model.options['intervals']} intervals.")
 
     def suspects(self, control: FitData) -> None:

@@ -137,7 +137,7 @@ class Local(Estimator):
             raise Undetermined(f"{used.sum()} control points are too few for a random field",
                                hint="Measure more control, spread over the area.")
         if field.probability <= LIKELY:
-            raise Undetermined("the points do not call for a random field over the RPC: its "
+            raise Undetermined("the points do not support a random field over the RPC: its "
                                f"probability is {field.probability:.2g}",
                                hint="Choose rpc-affine, or --strategy auto.")
         solution = Solution(
@@ -177,7 +177,7 @@ class LocalRpc(CorrectedRpc):
         """Return how likely the field is."""
         field = fitted.interpolation
         assert isinstance(field, FieldOverRpc)
-        return (f"The points call for local corrections of the vendor's RPC: the probability of a "
+        return (f"The points support local corrections of the vendor's RPC: the probability of a "
                 f"random field is {field.probability:.3g}; it must exceed {LIKELY:g}.")
 
     def suspects(self, control: FitData) -> None:

@@ -115,8 +115,8 @@ class NamedRadar(Method):
         radar = _radar(control)
         if as_stated(radar.prepared(control.scaling, control.features.crs), control) is None:
             return None
-        return ("The points are the lattice that was computed from this annotation. Its orbit and "
-                "timing hold between them, too, so that nothing is fitted to them.")
+        return ("The points are the lattice that was computed from this annotation. Its orbit "
+                "and timing are valid between them, too, so nothing is fitted to them.")
 
     def fit(self, control: FitData) -> Fit:
         """Fit the shifts of the radar whose annotation is named; none to its own lattice."""

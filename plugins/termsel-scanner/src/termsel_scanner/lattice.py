@@ -25,8 +25,8 @@ log = logging.getLogger(__name__)
 ACROSS = 6
 """Lines of the lattice that is computed for a burst."""
 
-WITHOUT = ("Note: %s has no annotation next to it. With that (annotation/s1...xml of its product) "
-           "the orbit and the timing would be known, and places between the lattice's points "
+WITHOUT = ("Note: %s has no annotation beside it. With that (annotation/s1...xml of its product) "
+           "the orbit and the timing would be known, and positions between the lattice's points "
            "exact; without it they are interpolated.")
 
 
@@ -83,8 +83,8 @@ class SentinelLattice(Reader):
             gcps = raster.gcps[0]
             size = raster.shape
         if not gcps:
-            raise TermselError("this image has no ground control points, and no annotation next to "
-                               "it", file=path, hint=HINT)
+            raise TermselError("this image has no ground control points, and no annotation "
+                               "beside it", file=path, hint=HINT)
         image = np.array([[gcp.row, gcp.col] for gcp in gcps], dtype=np.float64)
         ground = np.array([[gcp.x, gcp.y, np.nan if gcp.z is None else gcp.z] for gcp in gcps],
                           dtype=np.float64)

@@ -61,7 +61,7 @@ HUBER = 3.0
 def known(scaling: Scaling | None) -> Scaling:
     """Return the scaling of a prepared model."""
     if scaling is None:
-        raise TermselError("the model is not prepared: its place is not known",
+        raise TermselError("the model is not prepared: its position on Earth is not known",
                            hint="Fit it, or call its method prepared first.")
     return scaling
 

@@ -212,7 +212,7 @@ def _first_line(annotation: Annotation, burst: int) -> tuple[float, float]:
     if not 1 <= burst <= len(bursts):
         raise TermselError(
             f"{annotation.source}: the image is made of {len(bursts)} bursts that overlap in time, "
-            "so that a place may be on two lines",
+            "so that a point may be on two lines",
             hint=f"Choose one with --set burst=N, N from 1 to {len(bursts)}, or use an image of "
                  "merged bursts, such as the GRD product.")
     chosen = bursts[burst - 1]

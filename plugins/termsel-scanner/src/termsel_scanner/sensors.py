@@ -118,7 +118,7 @@ def _checked(content: object, path: Path) -> Sensor:
     known = {field.name: field.default for field in fields(Sensor)}
     hint = f"Fields are {', '.join(known)}; those after source may be left out."
     if not isinstance(content, dict):
-        raise TermselError(f"{path} holds no JSON object", hint=hint)
+        raise TermselError(f"{path} contains no JSON object", hint=hint)
     for name in content:
         if name not in known:
             raise TermselError(f"{path} has the field {name!r}, which no sensor has", hint=hint)

@@ -20,9 +20,9 @@ _METRES = click.FloatRange(0, 1e6, min_open=True)
 @click.argument("source", metavar="DIR|TABLE", type=_PATH)
 @click.option("--survey-sigma", metavar="METRES", type=_METRES,
               help="Standard deviation of each surveyed horizontal coordinate of the check points, "
-                   "where they have no columns sigma_x and sigma_y.")
+                   "if they have no columns sigma_x and sigma_y.")
 @click.option("--survey-sigma-z", metavar="METRES", type=_METRES,
-              help="Standard deviation of their heights, where they have no column sigma_z.")
+              help="Standard deviation of their heights, if they have no column sigma_z.")
 @click.option("--class", "horizontal", metavar="METRES", type=_METRES,
               help="Horizontal accuracy class that the data were to meet.")
 @click.option("--class-z", "vertical", metavar="METRES", type=_METRES,

@@ -18,7 +18,7 @@ _FILE = click.Path(path_type=Path)
 @click.option("--output", "-o", metavar="FILE", required=True, type=_FILE,
               help="The raster to write, a cloud-optimised GeoTIFF.")
 @click.option("--image", metavar="FILE", type=_FILE,
-              help="The image, where the result does not know its size; the raster covers what it "
+              help="The image, if the result does not record its size; the raster covers what it "
                    "shows.")
 @click.option("--bounds", metavar="W S E N", type=float, nargs=4,
               help="West, south, east and north in the CRS of the raster, instead of what the "

@@ -240,7 +240,7 @@ def statements_of(ground_errors: GroundErrors, horizontal_class: float | None = 
         _asprs("three-dimensional", n, None if height is None else hypot(with_survey, height),
                None),
         Statement("ASPRS vegetated vertical", None, flat if height is None else
-                  "not stated, as nothing says which check points are under vegetation"),
+                  "not stated, as it is not known which check points are under vegetation"),
         Statement("NSSDA horizontal", by_nssda.value,
                   f"not stated: {by_nssda.reason}" if by_nssda.value is None else
                   f"Tested {_size(by_nssda.value)} meters horizontal accuracy at 95% "

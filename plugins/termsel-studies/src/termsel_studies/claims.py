@@ -50,7 +50,7 @@ def _single(groups: Groups) -> list[str]:
     if number:
         of_all = "" if number == total else f"{number} of "
         sentences = [f"All methods ran on {of_all}{counted(total, 'instance')}; a test over "
-                     f"instances needs at least {FEWEST}. What follows holds for "
+                     f"instances needs at least {FEWEST}. What follows is valid for "
                      f"{'this one' if number == 1 else 'these'} alone."]
     else:
         sentences = ["No instance was run with all methods, so nothing is compared."]
@@ -108,5 +108,5 @@ def _over_instances(comparison: Comparison) -> list[str]:
     if n_unproven:
         sentences.append(f"Of {counted(n_unproven, 'pair')} no difference may be claimed. That "
                          "does not show that they are equally good.")
-    sentences.append("This holds for instances like these, with these options and budgets.")
+    sentences.append("This is valid for instances like these, with these options and budgets.")
     return sentences

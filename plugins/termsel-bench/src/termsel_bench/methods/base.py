@@ -127,7 +127,7 @@ class Method:
         if positions.shape != (len(points), 2):
             raise TermselError(f"{self.title} returned positions of the shape {positions.shape}, "
                                f"expected {(len(points), 2)}",
-                               hint="Return line and sample of each place.")
+                               hint="Return line and sample of each position.")
         if missing := int((~np.isfinite(positions).all(axis=1)).sum()):
             raise TermselError(f"{self.title} has no position for {missing} of {len(points)} "
                                "places")

@@ -46,7 +46,7 @@ def real_folders(folder: Path) -> list[Path]:
     folders = sorted(path.parent for path in folder.glob(f"*/{DECLARATION}"))
     if not folders:
         raise TermselError(f"{folder} has no folder with a file {DECLARATION}",
-                           hint="Name the folder that holds a folder for each set.")
+                           hint="Name the folder with one folder for each set.")
     for set_folder in folders:
         real_set(set_folder)
     return folders
@@ -70,7 +70,7 @@ def real_set(folder: Path) -> BenchSet:
                            hint="Put the whole text of the licence into the folder.")
     if not re.fullmatch(r"https?://\S+", declared["source"]):
         raise TermselError(f"the source {declared['source']!r} is no address", file=str(file),
-                           hint="Say where the data come from, as https://...")
+                           hint="State the source of the data, as https://...")
     if not re.fullmatch(r"[0-9a-f]{40}|[0-9a-f]{64}", declared["commit"]):
         raise TermselError(f"the commit {declared['commit']!r} is none", file=str(file),
                            hint="Give all 40 or 64 hexadecimal digits.")
@@ -102,7 +102,7 @@ def _declared(file: Path) -> dict[str, str]:
         if not isinstance(declared, dict) or not isinstance(declared.get(name),
                                                             str) or not declared[name]:
             raise TermselError(f"the set {file.parent.name} does not say its {name}",
-                               file=str(file), hint=f"Say all of {', '.join(NEEDED)}.")
+                               file=str(file), hint=f"State all of {', '.join(NEEDED)}.")
     return declared  # type: ignore[no-any-return]
 
 

@@ -136,7 +136,7 @@ def _refuse_elsewhere(images: Sequence[ImageInput], started: Started, count: int
             computed = camera.project(np.zeros(len(camera.groups)), control.local)
             away = np.abs(control.value - (control.normal * computed).sum(axis=1))
             if np.median(away) > 2 * max(np.abs(camera.rpc.image_scale)):
-                raise TermselError(f"the RPC of image {image.name!r} is of another place than its "
+                raise TermselError(f"the RPC of image {image.name!r} is of another area than its "
                                    f"control: half of it is {np.median(away):.3g} px away or more",
                                    hint="Give the RPC of this image; x must be longitude or "
                                         "easting.")
@@ -162,8 +162,8 @@ def _refuse_elsewhere(images: Sequence[ImageInput], started: Started, count: int
         i for i in ties_far if ties_far[i] >= ties_near[i]]
     if named:
         names = ", ".join(repr(images[i].name) for i in sorted(named)[:5])
-        raise TermselError(f"the ties of {names} are not where the RPCs of other images see "
-                           "them",
+        raise TermselError(f"the ties of {names} are far from the positions that the RPCs of "
+                           "other images give",
                            hint="One of these RPCs is of another image, or the ties are wrong.")
 
 

@@ -129,7 +129,7 @@ def _refuse_copies(names: Sequence[str], ties: Ties, path: Path) -> None:
     for name, at in zip(names, measurements, strict=True):
         # Copied rows: no two ties of an image are at one place by chance.
         if len(at) >= _MIN_FEATURES and np.ptp(ties.position[at], axis=0).max() < _SAME:
-            raise TermselError(f"all {len(at)} ties of image {name!r} are at one place in it",
+            raise TermselError(f"all {len(at)} ties of image {name!r} are at one position in it",
                                file=path, hint="Check the columns line and sample of the ties.")
     # Of images that share ties: are all measured alike in both?
     for i, j, first, second in pairs([ties.tie[at] for at in measurements], len(ties.names)):
@@ -137,8 +137,8 @@ def _refuse_copies(names: Sequence[str], ties: Ties, path: Path) -> None:
             continue
         away = ties.position[measurements[i][first]] - ties.position[measurements[j][second]]
         if np.abs(away).max() < _SAME:
-            raise TermselError(f"images {names[i]!r} and {names[j]!r} have all {len(first)} common "
-                               "ties at the same places", file=path,
+            raise TermselError(f"images {names[i]!r} and {names[j]!r} have all {len(first)} "
+                               "common ties at the same positions", file=path,
                                hint="Remove the one that is a copy, or correct its ties.")
 
 
@@ -173,7 +173,7 @@ def _check_names(names: Sequence[str], path: Path) -> None:
     for name, count in Counter(names).items():
         if count > 1:
             raise TermselError(f"{count} images are called {name!r}", file=path,
-                               hint="Give each image a name of its own.")
+                               hint="Give each image a different name.")
         # A name is a folder's name: no separator, no dot before it, printable, not too long.
         if not name.strip() or name != Path(name).name or name.startswith(".") \
                 or not name.isprintable() or len(name.encode()) > _LONGEST:
@@ -186,7 +186,7 @@ def _check_names(names: Sequence[str], path: Path) -> None:
         if count > 1:
             same_folder = [repr(name) for name in names if name.casefold() == folder]
             raise TermselError(f"the images {' and '.join(same_folder)} would share one folder "
-                               "where file names have no case", file=path,
+                               "on a file system without case", file=path,
                                hint="Give them names that differ in more than capitals.")
     if len(names) < 2:
         raise TermselError(f"a block of {len(names)} images has no ties", file=path,
@@ -216,9 +216,9 @@ def _image(stated: _Image, folder: Path, crs: str, dem: Path | None, path: Path)
                            "installed", file=rpc_file,
                            hint="In a clone of termsel: pip install ./plugins/termsel-rpc.")
     if rpc is not None and crs == LOCAL:
-        raise TermselError(f"image {stated.name!r} has an RPC, which needs the ground's place, and "
-                           "the block is in plane coordinates without a CRS", file=path,
-                           hint="State the CRS of the ground coordinates.")
+        raise TermselError(f"image {stated.name!r} has an RPC, which needs geographic "
+                           "coordinates, and the block is in plane coordinates without a CRS",
+                           file=path, hint="State the CRS of the ground coordinates.")
     # Options that name a file are relative to the block's folder, as all paths are.
     options = {key: str(folder / value) if isinstance(value, str) and value
                and (folder / value).is_file() else value for key, value in stated.options.items()}

@@ -54,7 +54,7 @@ def write_places(folder: Path | str, target: Path | str, *, overwrite: bool = Fa
     target = Path(target)
     writers = {".gpkg": _geopackage, ".las": _cloud, ".laz": _cloud}
     if target.suffix.lower() not in writers:
-        raise TermselError(f"the suffix {target.suffix!r} tells no format", file=target,
+        raise TermselError(f"the suffix {target.suffix!r} is of no known format", file=target,
                            hint=f"Known: {', '.join(writers)}.")
     require_replaceable([target], reads=[folder / RECORD, folder / TIES], overwrite=overwrite)
     ids, values, crs = _read(folder)

@@ -167,9 +167,8 @@ def doubts(result: BlockResult) -> list[str]:
         control = adjusted.state.control_in_use[i]
         if len(control) and control.mean() < _FEW:
             notes.append(f"{(~control).sum() / len(control):.0%} of the control of {image.name} "
-                         "was "
-                        "left out: check its places and heights, and those of the DEM if there is "
-                        "one.")
+                         "was rejected: check its coordinates and heights, and those of the DEM "
+                         "if there is one.")
         # Ties and control may be of another image, another unit, or another datum: each shows
         # elsewhere.
         ties = adjusted.state.ties[result.block.ties.tie[result.block.ties.image == i]]

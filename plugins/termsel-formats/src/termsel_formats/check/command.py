@@ -73,7 +73,7 @@ def check(file: Path, folder: Path | None, as_json: bool, final: bool | None) ->
         for one in found:
             _warn(one)
     for name in answers.absent:
-        echo(f"Not asked: {name}, which is not installed.")
+        echo(f"Not tested: {name}, which is not installed.")
     for said in answers.failed:
         echo(f"No answer: {said}.")
 

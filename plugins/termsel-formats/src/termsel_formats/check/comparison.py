@@ -106,7 +106,7 @@ def compared(path: Path | str, result: Result | None = None, *, final: bool | No
             raise TermselError(
                 f"this raster has {size[0]} lines and {size[1]} samples, and the image of the "
                 f"result {known[0]} and {known[1]}", file=Path(path),
-                hint="Give the image or an export of it; a map has pixels of its own.")
+                hint="Give the image or an export of it; a map has different pixels.")
         return tuple(_of(one, result, size) for one in answers.taken), answers
 
 

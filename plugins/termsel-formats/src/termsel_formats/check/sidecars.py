@@ -45,8 +45,8 @@ def raster_of(path: Path, result: Result | None) -> Iterator[Path]:
         return
     size = None if result is None else result.features.image_size
     if size is None:
-        raise TermselError("this file goes with an image, and none of its name is next to it",
-                           file=path, hint="Put the image next to it, or give --result with a run "
+        raise TermselError("this file belongs to an image, and none of its name is beside it",
+                           file=path, hint="Put the image beside it, or give --result with a run "
                                            "that knows the size of its image.")
     with private_folder() as folder:
         image = folder / ("image.tif" if found else Path(stem).with_suffix(".tif").name)

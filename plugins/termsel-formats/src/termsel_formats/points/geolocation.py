@@ -83,11 +83,11 @@ class GeolocationArray(Reader):
     name = "geolocation-array"
     summary = "longitude, latitude and height as bands, files, or GEOLOCATION of a raster"
     declared_options = (
-        Option("latitude", None, "Raster of latitudes, where the file has longitudes alone."),
+        Option("latitude", None, "Raster of latitudes, if the file has longitudes only."),
         Option("height", None, "Raster of ellipsoidal heights, for such a file."),
-        Option("array_first", None, "Line and sample of the array's first place, counted from the "
+        Option("array_first", None, "Line and sample of the array's first node, counted from the "
                                     "centre of the first pixel; by default 0,0."),
-        Option("array_step", None, "Lines and samples of the image from one place of the array to "
+        Option("array_step", None, "Lines and samples of the image from one node of the array to "
                                    "the next, such as 16,16; by default 1,1."),
         Option("meshes", None, "Meshes along either side of the lattice that is taken; by default "
                                "as many as the geometry needs, up to 32.", int, 3, 200))
@@ -241,7 +241,7 @@ def _lattice_of(arrays: Arrays, path: Path, meshes: int | None) -> FeatureSet:
     image, ground = lattice
     known = np.isfinite(ground[:, :2]).all(axis=1)
     if known.sum() < 4:
-        raise TermselError("this array has fewer than four places", file=path, hint=_HINT)
+        raise TermselError("this array has fewer than four nodes", file=path, hint=_HINT)
     if (np.abs(ground[known, 1]) > 90.0).any() and not arrays.crs:
         raise TermselError("the latitudes of this array are beyond 90", file=path, hint=_HINT)
     image = image[known]

@@ -51,7 +51,7 @@ class MetashapeMarkers(Reader):
             raise TermselError(f"a marker cannot be read: {what_lacks(error)}", file=path,
                                hint=_HINT) from error
         if not places or not ground:
-            raise TermselError("this file has no markers with places in images and on the ground",
+            raise TermselError("this file has no markers with image and ground positions",
                                file=path, hint=_HINT)
         camera = image_of(path, (cameras.get(one[1], one[1]) for one in places if one[0] in ground),
                           self.options["image_name"], "image_name=NAME")

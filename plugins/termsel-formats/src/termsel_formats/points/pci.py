@@ -39,7 +39,7 @@ class PciGcp(Reader):
     summary = "text of GCPs of PCI and CATALYST (.gcp): ID P L X Y [Z] [S]; --set layout=..."
     declared_options: ClassVar[tuple[Option, ...]] = (
         Option("layout", "", "Fields of a line, such as IDPLXYZ or IXYZPL; by default ID, P, L, X, "
-                             "Y, then Z and S where they are there."),)
+                             "Y, then Z and S if present."),)
 
     def sniff(self, path: Path, head: bytes) -> bool:
         """Return True for lines of an id and four or five numbers in a file that ends in .gcp."""

@@ -26,7 +26,7 @@ class GdalGcps(Reader):
     summary = "a raster or VRT with ground control points as GDAL reads them (requires rasterio)"
     general = True
     declared_options = (
-        Option("gcp_origin", "corner", "Place in the first pixel that has the coordinates 0, 0.",
+        Option("gcp_origin", "corner", "Position in the first pixel that has the coordinates 0, 0.",
                choices=("corner", "centre")),
     )
 

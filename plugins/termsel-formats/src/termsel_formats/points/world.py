@@ -32,7 +32,7 @@ class WorldFile(Reader):
     name = "world-file"
     summary = "world file (.tfw, .wld, ...) as points at the corners; --set image=FILE if apart"
     declared_options: ClassVar[tuple[Option, ...]] = (
-        Option("image", None, "The image; by default the one next to it with the same name."),)
+        Option("image", None, "The image; by default the one beside it with the same name."),)
 
     def sniff(self, path: Path, head: bytes) -> bool:
         """Return True for six lines of one number each."""
@@ -58,7 +58,7 @@ class WorldFile(Reader):
             Path(image)]
         found = next((one for one in there if one.is_file()), None)
         if found is None:
-            raise TermselError("there is no image next to this world file" if image is None
+            raise TermselError("there is no image beside this world file" if image is None
                                else "this image does not exist", file=image or path,
                                hint="Name it with --set image=FILE.")
         with open_raster(found) as raster:
@@ -104,7 +104,7 @@ class WorldFileWriter(PointsWriter):
         known = np.isfinite(image).all(axis=1)
         design = np.column_stack([np.ones(known.sum()), image[known, 1], image[known, 0]])
         if np.linalg.matrix_rank(design) < 3:
-            raise TermselError("the model has no places on the ground for most of the image",
+            raise TermselError("the model gives no ground positions for most of the image",
                                file=path, hint="Fit a simpler model, such as --model affine.")
         # About the middle: coordinates are large next to the size of the image.
         middle = ground[known, :2].mean(axis=0)

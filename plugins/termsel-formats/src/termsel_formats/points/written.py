@@ -143,4 +143,4 @@ def say_by_gdal(name: str, result: Result, points: Points) -> None:
 
 def say_points(name: str) -> None:
     """Log that a file holds points and no model, so that nothing deviates."""
-    log.info("%s holds the control points, not the model.", name)
+    log.info("%s contains the control points, not the model.", name)

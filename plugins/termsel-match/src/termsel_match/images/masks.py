@@ -127,7 +127,7 @@ def on_the_ground(masks: Sequence[Path | str], crs: str, transform: Any) -> tupl
         def to_px(coordinates: FloatArray, turn: Any = turn, name: Path | str = name) -> FloatArray:
             x, y = turn.transform(coordinates[:, 0], coordinates[:, 1])
             if not np.isfinite([x, y]).all():
-                raise TermselError("polygons of this mask have no place in the CRS of the "
+                raise TermselError("polygons of this mask cannot be converted to the CRS of the "
                                    "reference", file=name,
                                    hint="Is their CRS right? Draw them near the image.")
             # The inverse of the geotransform: from coordinates to columns and rows of the

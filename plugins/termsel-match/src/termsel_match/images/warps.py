@@ -322,17 +322,17 @@ def _require_overlap(reference: Reference, size: tuple[int, int],
         problem = f"{dem} does not cover what the image shows by {reference.start.description}"
         if dem is None:
             problem = f"{reference.start.description} has no ground position for the image"
-        raise TermselError(problem, hint="Give a DEM of the place, and the RPC of this image.")
+        raise TermselError(problem, hint="Give a DEM of the area, and the RPC of this image.")
     # Finite positions that are on the reference: the image and it have ground in common.
     last = np.array(reference.picture.size) - 1
     inside = is_finite & ((at_reference >= 0) & (at_reference <= last)).all(axis=1)
     if not inside.any():
         raise NotShown(
-            f"the reference does not show the place of the image: by {reference.start.description} "
+            f"the reference does not show the area of the image: by {reference.start.description} "
             f"the image is at line {_range(at_reference[is_finite, 0])} and sample "
             f"{_range(at_reference[is_finite, 1])} of it",
             file=reference.picture.path,
-            hint="Give a reference of the same place, and the start of this image.")
+            hint="Give a reference of the same area, and the start of this image.")
 
 
 def _range(values: FloatArray) -> str:

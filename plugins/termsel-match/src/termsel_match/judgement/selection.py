@@ -255,7 +255,7 @@ def with_lines(selected: Selected, lines: FeatureSet, *, seed: int = 1,
             "points and lines contradict each other: candidates for check are "
             f"{rms_with_lines:.2f} px from the model of both, and {rms_alone:.2f} px from that of "
             "the points",
-            hint="Are the vectors where the reference is?")
+            hint="Do the vectors cover the reference?")
     result = _told(termsel.run(
         "owdis-lines", features=with_both, model=model, solver="all-terms",
         options={**options, "mixed": True, **_all_used(with_both)}, seed=seed, out=folder,

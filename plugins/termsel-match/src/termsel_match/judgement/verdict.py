@@ -141,13 +141,14 @@ def remarks(candidates: Candidates, selected: Selected, evidence: Evidence,
     if evidence.other_place is not None:
         found_there = evidence.other_place
         notes.append(f"{found_there.count} candidates, most in {found_there.image_part} of the "
-                     f"image, agree on another place, {_vector(found_there.away)} from where the "
-                     "model sees them. Does the reference have a seam, or the ground repeat?")
+                     f"image, agree on another position, {_vector(found_there.away)} from the "
+                     "position that the model predicts. Does the reference have a seam, or the "
+                     "ground repeat?")
     distance, correlation = evidence.repetition
     if correlation >= ALIKE:
         notes.append(f"The reference repeats itself at a distance of {distance:.0f} of its pixels "
                      f"(correlation {correlation:.2f}). If the start is off by half of that, the "
-                     "map may be of another place.")
+                     "map may be of another area.")
     if evidence.along_lines.matters(accept):
         notes.append(f"The correction changes along the lines by {evidence.along_lines.size:.2f} "
                      "px (RMS, compared with a drift). It changes most near line "
@@ -212,12 +213,12 @@ def reasons(selected: Selected, evidence: Evidence, accept: float) -> tuple[str,
                         f"{_vector(common.away)}; accepted are {accept:g} px.")
     rival = evidence.other_place
     if rival is not None and rival.count >= _RIVAL * selected.agrees.sum():
-        refusals.append(f"{rival.count} candidates agree on another place, and only "
+        refusals.append(f"{rival.count} candidates agree on another position, and only "
                         f"{int(selected.agrees.sum())} on this one.")
     if _is_seam(evidence, accept):
         refusals.append(f"Near line {evidence.along_lines.line:.0f} the correction changes "
-                        f"{_vector(evidence.along_lines.away)}, and candidates there agree on both "
-                        "places: the reference has a seam.")
+                        f"{_vector(evidence.along_lines.away)}, and candidates there agree on "
+                        "both positions: the reference has a seam.")
     return tuple(refusals)
 
 
@@ -293,7 +294,7 @@ class Georeferenced:
             f"{result.features.points.roles.count('control')} for control",
             f"Covered by candidates that agree: {100 * evidence.covered:.0f} % of what image and "
             "reference show",
-            f"Predicted standard deviation where the map is: at most {evidence.sigma:.2f} px",
+            f"Predicted standard deviation on the map: at most {evidence.sigma:.2f} px",
             f"Independent candidates: {int((agree & selected.independent).sum())} of "
             f"{int(selected.independent.sum())} agree, with an RMSE of {selected.rmse:.2f} px",
             f"Error of all of them, right or wrong: median {selected.median:.2f} px, CE90 "

@@ -84,7 +84,7 @@ def pieces_of(path: Path | str, start: Start, dem: Path | str | None, size: tupl
     nowhere = TermselError(
         f"no straight piece of {SHORTEST:.0f} px of the vectors is in the image, by "
         f"{start.description}",
-        file=path, hint="Give vectors of the same place.")
+        file=path, hint="Give vectors of the same area.")
     lines, vector_of = _dense(lines, _place(start, to_start, size), size)
     if not lines:
         raise nowhere
@@ -95,7 +95,7 @@ def pieces_of(path: Path | str, start: Start, dem: Path | str | None, size: tupl
             stack.enter_context(open_dem(Path(dem), crs))(plane)
     if not np.isfinite(heights).any():
         raise TermselError("the DEM does not cover any of the vectors", file=dem,
-                           hint="Give a DEM of the place. Vectors may be in another CRS.")
+                           hint="Give a DEM of the area. Vectors may be in another CRS.")
     # Where the start sees every vertex; what has no height is nowhere.
     x, y = to_start.transform(*plane.T)
     at_image = start.project(np.column_stack([x, y, heights]))

@@ -209,7 +209,7 @@ def _of_files(picture: GreyRaster, files: list[Path],
         cells += ends
     if not several:
         raise missed or TermselError("none of the references shows what the image shows",
-                                     file=files[0].parent, hint="Give references of its place.")
+                                     file=files[0].parent, hint="Give references of its area.")
     return _numbered(several), crs, cells
 
 

@@ -117,7 +117,7 @@ def match_ties(
     images : sequence of path-like
         Two or more, each with an RPC, or another start that it states itself.
     dem : path-like
-        Raster of heights of the place.
+        Raster of heights of the area.
     search : float
         Largest distance of a match from where both geometries see it [px].
     count : int
@@ -179,7 +179,7 @@ def match_ties(
                  for image, line, sample in (first, *further)]
     if not any_overlap:
         raise TermselError("this raster has no heights where the images are", file=Path(dem),
-                           hint="Give heights of the place by --dem.")
+                           hint="Give heights of the area by --dem.")
     if not rows:
         over = until is not None and monotonic() > until
         raise TermselError("no two of the images have ties", file=paths[0],
@@ -193,7 +193,7 @@ def _start(path: Path) -> Start:
     start = start_of(None, path)
     if start is None:
         raise TermselError("this image has no rough geometry", file=path,
-                           hint="Put its RPC next to it, such as image.RPB.")
+                           hint="Put its RPC beside it, such as image.RPB.")
     return start
 
 

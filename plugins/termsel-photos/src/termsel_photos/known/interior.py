@@ -40,7 +40,7 @@ OPTIONS = (
                                            "703,749.5. By default the middle of the image."),
     Option("camera_distortion", None, "k1,k2,p1,p2,k3 of the lens, as OpenCV and OpenDroneMap "
                                       "state them; fewer are the first of these."),
-    Option("camera_position", None, "Rough place of the camera in the CRS of the points: x,y,z, "
+    Option("camera_position", None, "Rough position of the camera in the CRS of the points: x,y,z, "
                                     "or x,y,z,s with its standard deviation [m]."),
     Option("camera_height", None, "Rough flying height above the ground [m]."))
 """Options of reading; columns of the points have the same names."""

@@ -136,7 +136,7 @@ class KnownCamera(Method):
         features = control.features
         known = interior_of(features)
         if known is None:
-            return "nothing tells the focal length of a camera"
+            return "the focal length of a camera is not stated"
         if len(features.lines) or len(features.points) < FEWEST:
             return f"it is for {FEWEST} control points or more, without lines"
         if features.without_height():
@@ -189,7 +189,7 @@ class KnownCamera(Method):
 def _interior(control: FitData) -> Interior:
     known = interior_of(control.features)
     if known is None:
-        raise Undetermined("nothing tells the focal length of the camera",
+        raise Undetermined("the focal length of the camera is not stated",
                            hint="State it: --set camera_focal=3131.8, in px.")
     return known
 

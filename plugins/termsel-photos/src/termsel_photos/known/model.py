@@ -79,7 +79,7 @@ class KnownFrame(SensorModel):
         Option("sample", None, "Sample of the principal point [px].", float),
         Option("reach", None, "Scale of the prior of the principal point [px].", float, 0.0),
         Option("distortion", "0,0,0,0,0", "k1, k2, p1, p2 and k3 of the lens."),
-        Option("position", "", "Rough place of the camera in the CRS of the points."),
+        Option("position", "", "Rough position of the camera in the CRS of the points."),
         Option("position_spread", 50.0, "Its standard deviation [m].", float, 1e-9),
         Option("height", None, "Rough flying height above the ground [m].", float, 0.0),
         Option("height_spread", 0.1, "Relative standard deviation of it.", float, 1e-9),
@@ -116,7 +116,7 @@ class KnownFrame(SensorModel):
     def local(self, ground: FloatArray) -> FloatArray:
         """Return scaled places (n, 3) in units of `unit`, east, north and up of the middle."""
         if self.scaling is None:
-            raise TermselError("the model is not prepared: its place is not known",
+            raise TermselError("the model is not prepared: its position on Earth is not known",
                                hint="Fit it, or call its method prepared first.")
         return self._metres(ground) / self.unit
 
