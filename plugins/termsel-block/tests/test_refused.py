@@ -32,7 +32,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (('"B.RPB"', '"ties.csv"'), "this file has no RPC"),
     (('name = "C"', 'name = "../C"'), "cannot be the name of an image"),
     (('crs = "EPSG:4979"', 'crs = "EPSG:32639"'), "the block says EPSG:32639"),
-    (('crs = "EPSG:4979"', 'crs = "local"'), "'A' has an RPC, which needs the ground's place"),
+    (('crs = "EPSG:4979"', 'crs = "local"'), "'A' has an RPC, which needs geographic coordinates"),
     (('points = "A_points.csv"', 'points = "A.RPB"'), "Name the RPC as rpc of the image"),
     (('ties = "ties.csv"', "ties = []"), "names no file of ties"),
     (('crs = "EPSG:4979"', "crs = "), "this is not TOML"),

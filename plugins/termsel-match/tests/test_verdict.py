@@ -101,7 +101,8 @@ def test_a_seam_is_seen_and_named(place: Any, tmp_path: Path, seam: float) -> No
     done = judge(place / "image.tif", place / "ortho.tif", dem=place / "dem.tif", points=table)
     said = " ".join((*done.remarks, *done.reasons))
     assert any(words in said for words in (
-        "Residuals of neighbours are alike", "agree on another position", "changes along the lines"))
+        "Residuals of neighbours are alike", "agree on another position",
+        "changes along the lines"))
     assert "Look at this:" in done.text()
 
 

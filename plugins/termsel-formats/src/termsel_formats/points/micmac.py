@@ -45,7 +45,7 @@ class MicmacXml(Reader):
     summary = "marks of MicMac, NAME-S2D.xml; --set ground=FILE has the Appuis, NAME-S3D.xml"
     declared_options: ClassVar[tuple[Option, ...]] = (
         Option("ground", None, "The file of Appuis (DicoAppuisFlottant); by default NAME-S3D.xml "
-                               "next to NAME-S2D.xml."), IMAGE_NAME)
+                               "beside NAME-S2D.xml."), IMAGE_NAME)
 
     def sniff(self, path: Path, head: bytes) -> bool:
         """Return True for XML with measures or with points on the ground."""
@@ -59,7 +59,7 @@ class MicmacXml(Reader):
         image = image_of(path, marks, self.options["image_name"], "image_name=NAME")
         ids = [name for name in marks[image] if name in places]
         if not ids:
-            raise TermselError(f"no point of the image {image} has a place on the ground",
+            raise TermselError(f"no point of the image {image} has ground coordinates",
                                file=path, hint="Give the file of the same points, "
                                                "--set ground=FILE.")
         line_sample = [marks[image][name][::-1] for name in ids]
@@ -145,7 +145,7 @@ class MicmacXmlWriter(PointsWriter):
     """
 
     name = "micmac-xml"
-    summary = "points without blunders as measures of MicMac, and their places in NAME-S3D.xml"
+    summary = "points without blunders as measures of MicMac, and their coordinates in NAME-S3D.xml"
     needs = "control points with heights, in a CRS of the Earth"
     suffix = "-S2D.xml"
     declared_options: ClassVar[tuple[Option, ...]] = (

@@ -46,8 +46,8 @@ class Pix4dMarks(Reader):
     name = "pix4d-marks"
     summary = "marks of Pix4D: image,label,x,y; --set ground=FILE has label,x,y,z"
     declared_options: ClassVar[tuple[Option, ...]] = (
-        Option("ground", None, "The file with label,x,y,z of the points; by default the one named "
-                               "as that of the marks, with _gcps.csv in the place of its ending."),
+        Option("ground", None, "The file with label,x,y,z of the points; by default the one "
+                               "named like that of the marks, ending in _gcps.csv."),
         _LATITUDE_FIRST, IMAGE_NAME)
 
     def sniff(self, path: Path, head: bytes) -> bool:
@@ -63,8 +63,8 @@ class Pix4dMarks(Reader):
         asked = self.options["ground"]
         there = _ground_file(path) if asked is None else Path(asked)
         if asked is None and not there.is_file():
-            raise TermselError("marks say where points are in the image alone", file=path,
-                               hint="Name the file with their places on the ground, "
+            raise TermselError("the marks have image coordinates only", file=path,
+                               hint="Name the file of their ground coordinates, "
                                     "--set ground=FILE.")
         known = {row[0]: (number, row) for number, row in _rows(there, (3, 4, 5, 6),
                                                                 "label,x,y,z")}
@@ -120,7 +120,7 @@ class Pix4dMarksWriter(PointsWriter):
     """
 
     name = "pix4d-marks"
-    summary = "selected control points as marks for Pix4D, and their places in NAME_gcps.csv"
+    summary = "selected control points as marks for Pix4D, and their coordinates in NAME_gcps.csv"
     suffix = "_marks.csv"
     declared_options: ClassVar[tuple[Option, ...]] = (IMAGE,)
 
