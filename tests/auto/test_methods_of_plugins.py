@@ -172,7 +172,7 @@ def test_one_that_declines_or_needs_another_is_not_judged(control: FitData) -> N
 
 
 def test_one_for_few_features_is_not_tried_in_folds_of_more(control: FitData) -> None:
-    mine = Known("mine", "a known model", Affine(), has_prior=True, most=len(control) - 1)
+    mine = Known("mine", "a known model", Affine(), has_prior=True, max_features=len(control) - 1)
     auto = Auto(methods=(*METHODS[3:4], mine))
     seen = Counter[str]()
 
@@ -242,10 +242,10 @@ def test_folds_of_many_points_do_not_try_what_all_points_are_far_from(count: int
 
 @pytest.mark.parametrize("most", [None, "12", 0, float("nan")])
 def test_one_for_no_number_of_features_is_left_out_and_named(control: FitData, most: Any) -> None:
-    auto = auto_with(Known("mine", "a known model", Affine(), most=most))
+    auto = auto_with(Known("mine", "a known model", Affine(), max_features=most))
     assert auto.choose(control) is not None
     assert auto.repeated(control) is not None
-    assert f"'mine' has most={most!r}, which is no number of features" in auto.notes[0]
+    assert f"'mine' has max_features={most!r}, which is no number of features" in auto.notes[0]
 
 
 def test_lines_left_out_of_a_choice_do_not_count_in_its_folds() -> None:
@@ -353,8 +353,8 @@ def test_a_result_of_an_estimator_of_the_session_is_the_same_fit_again(
     result = termsel.run("rfm-terms", features=scene, strategy="auto", out=tmp_path / "r")
     assert result.strategy.chosen == "small"
     again = termsel.read_result(tmp_path / "r")
-    assert again.fit.made is not None
-    assert again.fit.made.estimator == Shrinking(1.0 - 1e-6)
+    assert again.fit.original is not None
+    assert again.fit.original.estimator == Shrinking(1.0 - 1e-6)
     assert again.fit.coefficients == result.fit.coefficients
     assert again.fit.effective == result.fit.effective == 8.0
     assert again.final is not None

@@ -96,8 +96,8 @@ def test_a_plan_counts_what_the_model_does_not_fit(tmp_path: Path) -> None:
     assert result.fit.misfit is not None
     planned = plan(result, 3)
     scene = scene_grid(result.fit, 20)[1]
-    assert planned.now > 1.2 * rank_places(result.fit, scene, scene, 1).now
-    assert (np.diff([planned.now, *planned.values[:, 5]]) < 0).all()
+    assert planned.sigma_before > 1.2 * rank_places(result.fit, scene, scene, 1).sigma_before
+    assert (np.diff([planned.sigma_before, *planned.values[:, 5]]) < 0).all()
 
 
 def test_what_all_places_share_is_part_of_the_uncertainty(tmp_path: Path) -> None:
@@ -105,7 +105,8 @@ def test_what_all_places_share_is_part_of_the_uncertainty(tmp_path: Path) -> Non
     result = termsel.run(features=features)
     shared = replace(result, shared_sigma=(3.0, 4.0))
     np.testing.assert_allclose(shared.sigma(ground), np.hypot(result.sigma(ground), [3.0, 4.0]))
-    assert plan(shared, 1).now == pytest.approx(np.hypot(plan(result, 1).now, 5.0))
+    expected = np.hypot(plan(result, 1).sigma_before, 5.0)
+    assert plan(shared, 1).sigma_before == pytest.approx(expected)
     assert min(row["sigma"] for row in shared.view.sigma) > 5.0
     (tmp_path / "r").mkdir()
     write_result(shared, tmp_path / "r")

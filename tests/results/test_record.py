@@ -60,10 +60,10 @@ def _require_same(one: Fit, other: Fit) -> None:
     if one.adjustment.correlations is not None and other.adjustment.correlations is not None:
         np.testing.assert_allclose(one.adjustment.correlations, other.adjustment.correlations,
                                    rtol=1e-12)
-    assert (one.made is None) == (other.made is None)
-    if one.made is not None and other.made is not None:
-        assert one.made.control.ids == other.made.control.ids
-        _require_same(one.made, other.made)
+    assert (one.original is None) == (other.original is None)
+    if one.original is not None and other.original is not None:
+        assert one.original.control.ids == other.original.control.ids
+        _require_same(one.original, other.original)
 
 
 def _again(result: Result, folder: Path) -> Result:

@@ -13,7 +13,7 @@ import termsel
 from termsel.cli.main import cli
 from termsel.data.features import FeatureSet, FloatArray, Points, no_points
 from termsel.fitting.fit import Fit
-from termsel.fitting.next_places import APART, rank_places
+from termsel.fitting.next_places import MIN_DISTANCE, rank_places
 from termsel.fitting.scene import scene_grid
 from termsel.io.plan import GRID, plan
 from termsel.simulate import scene_truth, simulate_scene
@@ -63,7 +63,7 @@ def test_greedy_choice_is_the_best_by_brute_force() -> None:
     points = simulate_scene("spot-isfahan", seed=3, n_points=40).points
     fitted = _fit(points.take(np.arange(12)))
     candidates, scene = points.ground[12:24], points.ground[24:]
-    found = rank_places(fitted, candidates, scene, 3, apart=0.0)
+    found = rank_places(fitted, candidates, scene, 3, min_distance=0.0)
     both = fitted.estimator.spread(fitted, fitted.scaling.ground(
         np.concatenate([candidates, scene])))
     assert both.factors is not None
@@ -86,7 +86,7 @@ def test_greedy_choice_is_the_best_by_brute_force() -> None:
         chosen.append(int(best))
         assert found.sigma[step] == pytest.approx(
             np.sqrt(min(values)) * fitted.scaling.image_scale, rel=1e-6)
-    assert found.now > found.sigma[0] > found.sigma[1] > found.sigma[2]
+    assert found.sigma_before > found.sigma[0] > found.sigma[1] > found.sigma[2]
 
 
 def test_a_model_of_lines_plans_by_its_own_adjustment() -> None:
@@ -94,7 +94,7 @@ def test_a_model_of_lines_plans_by_its_own_adjustment() -> None:
     fitted = termsel.fit(scene.with_(points=no_points()), "affine")
     found = rank_places(fitted, scene.points.ground[:20], scene.points.ground, 3)
     assert len(set(found.order.tolist())) == 3
-    assert (np.diff([found.now, *found.sigma]) < 0).all()
+    assert (np.diff([found.sigma_before, *found.sigma]) < 0).all()
 
 
 def test_a_spline_is_planned_as_a_polynomial_of_its_points() -> None:
@@ -205,10 +205,10 @@ def test_places_of_a_plan_keep_a_distance() -> None:
     closest = []
     for name, scene in SCENES.items():
         result = termsel.run("rfm-terms", features=simulate_scene(name, n_points=30))
-        distance = APART * max(scene.image_size)
+        distance = MIN_DISTANCE * max(scene.image_size)
         assert _least_distance(plan(result, 8).values[:, :2]) >= 0.99 * distance
         grid = scene_grid(result.fit, GRID)[1]
-        order = rank_places(result.fit, grid, grid, 8, apart=0.0).order
+        order = rank_places(result.fit, grid, grid, 8, min_distance=0.0).order
         closest.append(_least_distance(result.project(grid[order])) / distance)
     assert min(closest) < 0.9  # what it would be without
 

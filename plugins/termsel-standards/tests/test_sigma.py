@@ -71,7 +71,7 @@ def test_each_pixel_is_what_the_model_says_there(files: Path, tmp_path: Path, na
                                    for one in (there, ground))))
     grid = np.hypot(*moves)  # of the zone of UTM, turned against north by its convergence
     assert np.hypot(*bands[2:4, row, column]) == pytest.approx(np.hypot(*grid.T), rel=0.02)
-    made = exported.fit.made or exported.fit
+    made = exported.fit.original or exported.fit
     inside = _is_inside(made.control.take(made.used).ground_vertices(), ground)
     assert ((bands[4, row, column] == 0) == inside).all()
     assert 0.05 < inside.mean() < 0.99

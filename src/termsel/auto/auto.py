@@ -76,7 +76,7 @@ class Auto(Method):
         Why methods are left out, by name.
     whole : FeatureSet, optional
         All features, where those to choose by are a part: then all of them count for
-        `Method.most`.
+        `Method.max_features`.
     hopeless : frozenset of str
         Names of methods that are not tried on parts of the features.
     """
@@ -92,9 +92,9 @@ class Auto(Method):
 
     def __post_init__(self) -> None:
         for method in self.methods:
-            if not (isinstance(method.most, numbers.Real) and method.most > 0):
+            if not (isinstance(method.max_features, numbers.Real) and method.max_features > 0):
                 self.faults[method.name] = TermselError(
-                    f"method {method.name!r} has most={method.most!r:.40}, which is no number of "
+                    f"method {method.name!r} has max_features={method.max_features!r:.40}, which is no number of "
                     "features", hint=HINT)
 
     # What it is as a method.
@@ -166,7 +166,7 @@ class Auto(Method):
                       (not for_few if self.is_one_method
                        else not method.only_shown and method.for_few == for_few)]
         sizes = {method: self.ask(method, "size", data.heights) for method in candidates
-                 if method.name not in self.faults and self._count(data) <= method.most
+                 if method.name not in self.faults and self._count(data) <= method.max_features
                  and self.ask(method, "declines", data) is None}
         return sorted((method for method in sizes if method.name not in self.faults),
                       key=lambda method: sizes[method])
@@ -316,7 +316,7 @@ class Auto(Method):
     # The choice, repeated without some of the features.
 
     def for_parts_of(self, data: FitData, choice: Choice | None = None) -> Auto:
-        """Return the choice for parts of features: of these all count for `Method.most`.
+        """Return the choice for parts of features: of these all count for `Method.max_features`.
 
         With the choice from all of them, methods that it came nowhere near are not fitted: those
         without a prior that predict no better than the one to be beaten, and those that all

@@ -216,9 +216,11 @@ METHODS: tuple[Structure, ...] = (
     _WithPhysics("physical-cubic",
                  "a cubic polynomial with the sensor-geometry prior",
                  *_polynomials(3), estimator=Physical(), short="physical cubic", has_prior=True,
-                 contains=(*_LIMITS, *_SHRUNKEN, "field", "tps"), family=_FAMILY, most=CHOSEN),
+                 contains=(*_LIMITS, *_SHRUNKEN, "field", "tps"), family=_FAMILY,
+                 max_features=CHOSEN),
     _OfCamera("pinhole", "a pinhole camera", DLT3D(weighted=True), Projective2D(weighted=True),
-              estimator=PinholeCamera(), short="pinhole camera", central=True, most=MOST),
+              estimator=PinholeCamera(), short="pinhole camera", central=True,
+              max_features=MOST),
     *ROBUST,
 )
 """All built-in methods, in the order of the tables that compare them."""

@@ -13,7 +13,7 @@ from termsel.data.monomials import monomials
 from termsel.data.scaling import Scaling
 from termsel.data.view import CLEARER, View, view_of
 from termsel.fitting.fit import Estimator, Fit, HeldOut, Undetermined
-from termsel.fitting.pinhole import FEWEST, Pinhole, pinhole_near, pinhole_of
+from termsel.fitting.pinhole import PINHOLE_MIN_POINTS, Pinhole, pinhole_near, pinhole_of
 from termsel.fitting.uncertainty import Spread
 from termsel.models.base import SensorModel
 from termsel.models.projective import Projective
@@ -91,7 +91,7 @@ class PinholeCamera(Estimator):
 def may_be_oblique(features: FeatureSet) -> bool:
     """Return whether scaled points may be of an oblique view, as quickly as it can be said."""
     points = features.points
-    if len(features.lines) or not FEWEST <= len(points) <= MOST:
+    if len(features.lines) or not PINHOLE_MIN_POINTS <= len(points) <= MOST:
         return False
     if len(points) >= FEW:
         view = view_of(points)

@@ -35,17 +35,20 @@ from termsel.fitting.normality import chances_if_normal
 from termsel.fitting.residuals import freedom_of
 from termsel.fitting.uncertainty import shared_variance
 
-NEARER = 1 / 3
+LATTICE_RATIO = 1 / 3
 """Least part that an error between lines of a lattice is of that between lines twice as far apart;
 of the square, where lines walk at random."""
 
-NSSDA_POINTS, ASPRS_POINTS = 20, 30
-"""Fewest check points of the standards."""
+NSSDA_POINTS = 20
+"""Fewest check points of NSSDA."""
 
-MOST_LEVERAGE = 0.999
+ASPRS_POINTS = 30
+"""Fewest check points of ASPRS 2024."""
+
+MAX_LEVERAGE = 0.999
 """Leverage that a point has at most."""
 
-ROUND = 0.6
+MIN_AXIS_RATIO = 0.6
 """Least ratio of the RMSE of x and y for which NSSDA has a figure."""
 
 
@@ -111,15 +114,19 @@ def predicted_by(fitted: Fit, errors: FloatArray, points: int,
 
     With the ground (m, 3) of the points, it is that at their heights, unlike the control's or not.
     """
-    mine = fitted.control.take(fitted.used)
-    found = predicted_rmse(_with_all(fitted, errors), fitted.effective, points, shared_variance(
-        fitted.model, fitted.scaling.features(mine)))
-    more = 0.0 if ground is None else _by_heights(fitted, mine, ground)
+    in_use = fitted.control.take(fitted.used)
+    shared = shared_variance(fitted.model, fitted.scaling.features(in_use))
+    at_control = predicted_rmse(_errors_with_all_points(fitted, errors), fitted.effective, points,
+                                shared)
+    height_square = 0.0
+    if ground is not None:
+        height_square = _square_of_unlike_heights(fitted, in_use, ground)
     # What a metre of height does is one normal vector for all places, so that its square by the
-    # mean of that is exponentially distributed.
-    low, high = np.sqrt(-more * np.log1p([-(1 - CONFIDENCE) / 2, -(1 + CONFIDENCE) / 2]))
-    rmse, low, high = np.hypot([found.rmse, found.low, found.high],
-                               [more**0.5, low, high]).tolist()
+    # mean of that is exponentially distributed: its quantile at p is -ln(1 - p).
+    tails = -np.log1p([-(1 - CONFIDENCE) / 2, -(1 + CONFIDENCE) / 2])
+    low, high = np.sqrt(height_square * tails)
+    rmse, low, high = np.hypot([at_control.rmse, at_control.low, at_control.high],
+                               [height_square**0.5, low, high]).tolist()
     return Predicted(rmse, low, high, points=points or None)
 
 
@@ -142,12 +149,12 @@ def predicted_between(errors: FloatArray, lines: IntArray) -> Predicted:
     it, by the chi-squared distribution of so many lines; its middle is the random walk.
     """
     count = len(np.unique(lines))
-    without = float(np.sqrt((errors**2).sum(axis=1).mean()))
-    low, high = rmse_interval(without, count)
-    return Predicted(without * float(np.sqrt(NEARER)), NEARER * low, high)
+    held_out_rmse = float(np.sqrt((errors**2).sum(axis=1).mean()))
+    low, high = rmse_interval(held_out_rmse, count)
+    return Predicted(held_out_rmse * float(np.sqrt(LATTICE_RATIO)), LATTICE_RATIO * low, high)
 
 
-def _with_all(fitted: Fit, errors: FloatArray) -> FloatArray:
+def _errors_with_all_points(fitted: Fit, errors: FloatArray) -> FloatArray:
     """Return what held-out errors of an oblique view would be were all points in use.
 
     A point of the leverage h is predicted by the others with the variance s^2 / (1 - h), and a new
@@ -161,7 +168,7 @@ def _with_all(fitted: Fit, errors: FloatArray) -> FloatArray:
     leverage = spread.variance * weights_of(points)**2 / spread.noise
     if not np.isfinite(leverage).all():
         return errors
-    return np.asarray(errors * np.sqrt(1.0 - np.minimum(leverage, MOST_LEVERAGE)**2))
+    return np.asarray(errors * np.sqrt(1.0 - np.minimum(leverage, MAX_LEVERAGE)**2))
 
 
 def predicted_of_all(fitted: Fit, expected: Predicted, ground: FloatArray) -> Predicted:
@@ -174,16 +181,16 @@ def predicted_of_all(fitted: Fit, expected: Predicted, ground: FloatArray) -> Pr
     return Predicted(expected.rmse * share, expected.low * share, expected.high * share)
 
 
-def _by_heights(fitted: Fit, control: FeatureSet, ground: FloatArray) -> float:
+def _square_of_unlike_heights(fitted: Fit, control: FeatureSet, ground: FloatArray) -> float:
     """Return the mean square error that places (m, 3) add by heights unlike the control's [px^2].
     """
     flat = FitData(control, fitted.scaling, False)
     usual = with_usual_heights(flat, ground)
     if usual is ground:
         return 0.0
-    more = (fitted.sigma(ground)**2 - fitted.sigma(usual)**2).sum(axis=1)
-    more = np.where(np.isfinite(more), more, off_plane(flat, ground)[1]**2)
-    return float(max(more.mean(), 0.0))
+    excess = (fitted.sigma(ground)**2 - fitted.sigma(usual)**2).sum(axis=1)
+    excess = np.where(np.isfinite(excess), excess, off_plane(flat, ground)[1]**2)
+    return float(max(excess.mean(), 0.0))
 
 
 _Distances = TypeVar("_Distances", InImage, OnGround)
@@ -223,24 +230,25 @@ def _on_ground(fitted: Fit, points: Points) -> FloatArray | None:
 
 def nssda(points: int, ground: OnGround | None) -> StandardFigure:
     """Return the horizontal accuracy at 95 % confidence by NSSDA (appendix 3-A)."""
-    missing = _missing(points, ground, NSSDA_POINTS)
+    missing = _why_missing(points, ground, NSSDA_POINTS)
     if ground is None or missing:
         return StandardFigure(None, missing)
     low, high = sorted((ground.x, ground.y))
-    if high > 0 and low < ROUND * high:
-        return StandardFigure(None, f"the RMSE of one axis is below {ROUND:g} of the other")
+    if high > 0 and low < MIN_AXIS_RATIO * high:
+        return StandardFigure(None,
+                              f"the RMSE of one axis is below {MIN_AXIS_RATIO:g} of the other")
     return StandardFigure(2.4477 * (low + high) / 2)
 
 
 def asprs(points: int, ground: OnGround | None) -> StandardFigure:
     """Return the horizontal RMSE by ASPRS 2024, which has words of its own for fewer points."""
-    missing = _missing(points, ground, ASPRS_POINTS, "; for fewer run termsel accuracy")
+    missing = _why_missing(points, ground, ASPRS_POINTS, "; for fewer run termsel accuracy")
     return StandardFigure(None if ground is None or missing else ground.total, missing)
 
 
-def _missing(points: int, ground: OnGround | None, fewest: int, more: str = "") -> str | None:
+def _why_missing(points: int, ground: OnGround | None, fewest: int, remedy: str = "") -> str | None:
     if points < fewest:
-        return f"{counted(points, 'independent check point')}, at least {fewest} needed{more}"
+        return f"{counted(points, 'independent check point')}, at least {fewest} needed{remedy}"
     if ground is None:
         return "the errors on the ground are not known in metres"
     return None

@@ -13,24 +13,24 @@ from termsel.data.fit_data import FitData, off_plane
 from termsel.data.scaling import Scaling
 from termsel.fitting.uncertainty import sees_heights
 
-FAR = 0.5
+FAR_OUTSIDE = 0.5
 """Distance from the hull of the control, by the hull's longer side, from which on a place counts
 as far outside: a quadratic term is then 4 times what it is at the hull's edge."""
 
 
-def outside(control: FloatArray, places: FloatArray) -> FloatArray:
+def outside(control: FloatArray, ground: FloatArray) -> FloatArray:
     """Return how far places on the ground (m, 3) are outside the control (n, 3), shape (m,).
 
     Distance from the hull by its longer side, or above or below its heights by their range,
     whichever is larger; 0 inside. Infinite if the control has no hull, NaN for no place.
     """
-    apart = beyond(control[:, :2], places[:, :2])
+    distances = beyond(control[:, :2], ground[:, :2])
     low = control[:, 2].min()
     high = control[:, 2].max()
     if high > low:
-        above = np.maximum(places[:, 2] - high, low - places[:, 2]) / (high - low)
-        apart = np.maximum(apart, np.where(np.isnan(above), 0.0, above))
-    return np.asarray(np.where(np.isnan(places[:, :2]).any(axis=1), np.nan, apart))
+        above = np.maximum(ground[:, 2] - high, low - ground[:, 2]) / (high - low)
+        distances = np.maximum(distances, np.where(np.isnan(above), 0.0, above))
+    return np.asarray(np.where(np.isnan(ground[:, :2]).any(axis=1), np.nan, distances))
 
 
 def by_heights(used: FeatureSet, scaling: Scaling, project: Callable[[FloatArray], FloatArray],
@@ -50,30 +50,36 @@ def warnings_of(control: FeatureSet, used: BoolArray, check: Points) -> Iterator
 
     Of the control, features in the adjustment count: `used`, shape (len(control),).
     """
-    mine = centres(control)[used]
-    found = []
-    n = 0
+    control_centres = centres(control)[used]
+    groups = []
+    n_outside = 0
     if len(check):
-        far = beyond(mine, check.image) > FAR
+        far = beyond(control_centres, check.image) > FAR_OUTSIDE
         if far.any():
-            n += int(far.sum())
-            found.append(f"{far.sum()} of {counted(len(far), 'selection point')}")
+            n_outside += int(far.sum())
+            groups.append(f"{far.sum()} of {counted(len(far), 'selection point')}")
     if control.image_size is not None:
-        lines, samples = control.image_size
-        corners = np.array([(i, j) for i in (0.0, lines - 1.0) for j in (0.0, samples - 1.0)])
-        far = beyond(mine, corners) > FAR
+        last_line, last_sample = np.array(control.image_size) - 1.0
+        corners = np.array([(0.0, 0.0), (0.0, last_sample), (last_line, 0.0),
+                            (last_line, last_sample)])
+        far = beyond(control_centres, corners) > FAR_OUTSIDE
         if far.any():
-            n += int(far.sum())
-            found.append(f"{far.sum()} of 4 corners of the image")
-    if found:
-        yield (f"Extrapolation: {' and '.join(found)} lie{'s' * (n == 1)} far outside the control "
+            n_outside += int(far.sum())
+            groups.append(f"{far.sum()} of 4 corners of the image")
+    if groups:
+        yield (f"Extrapolation: {' and '.join(groups)} {_lie(n_outside)} far outside the control "
                "in use. The RMSE does not apply there.")
+    # Heights by themselves: a point within the hull may be on a summit far above all control.
     heights = control.ground_vertices()[:, 2]
-    others = check.ground[:, 2]
+    check_heights = check.ground[:, 2]
     span = float(np.ptp(heights))
-    if len(others) and span > 0:
-        above = np.maximum(others - heights.max(), heights.min() - others)
-        n = int((above > FAR * span).sum())
-        if n:
-            yield (f"Extrapolation: {counted(n, 'selection point')} lie{'s' * (n == 1)} far above "
-                   "or below the control.")
+    if len(check_heights) and span > 0:
+        above = np.maximum(check_heights - heights.max(), heights.min() - check_heights)
+        n_above = int((above > FAR_OUTSIDE * span).sum())
+        if n_above:
+            yield (f"Extrapolation: {counted(n_above, 'selection point')} {_lie(n_above)} far "
+                   "above or below the control.")
+
+
+def _lie(count: int) -> str:
+    return "lies" if count == 1 else "lie"

@@ -47,8 +47,9 @@ class Baseline:
 
     def row(self) -> BaselineRow:
         """Return the fit as the record of a run holds it."""
-        return BaselineRow(self.name, self.n_terms, self.fitted_to, self.determined,
-                           self.predicted, rmse_record(self.rmse), self.refused or UNSET)
+        return BaselineRow(name=self.name, n_terms=self.n_terms, fitted_to=self.fitted_to,
+                           determined=self.determined, predicted=self.predicted,
+                           rmse=rmse_record(self.rmse), refused=self.refused or UNSET)
 
 
 def rmse_record(rmse: Rmses) -> RmseByRole:
@@ -68,8 +69,12 @@ def _of_role(rmse: Rmse | None) -> RoleRmse:
 
 def rmse_from(record: RmseByRole) -> dict[str, Rmse | None]:
     """Return the RMSE by role that `rmse_record` gave a record for."""
-    return {role: Rmse(number(one.line), number(one.sample), number(one.total), one.n, one.freedom)
-            if one.n else None for role, one in record.by_role.items()}
+    rmse_by_role: dict[str, Rmse | None] = {}
+    for role, figures in record.by_role.items():
+        rmse_by_role[role] = Rmse(number(figures.line), number(figures.sample),
+                                  number(figures.total), figures.n,
+                                  figures.freedom) if figures.n else None
+    return rmse_by_role
 
 
 def number(value: float | None) -> float:
@@ -86,9 +91,10 @@ def baseline(name: str, fitted: Fit, predicted: float | None, observations: Obse
 
     `refused` is as for `Baseline`.
     """
-    return Baseline(name, int(fitted.terms.sum()), roles, fitted.determined,
-                    figures(in_role(fitted, observations), observations), predicted,
-                    fitted.adjustment.converged, refused)
+    return Baseline(name=name, n_terms=int(fitted.terms.sum()), fitted_to=roles,
+                    determined=fitted.determined,
+                    rmse=figures(in_role(fitted, observations), observations),
+                    predicted=predicted, converged=fitted.adjustment.converged, refused=refused)
 
 
 def in_role(fitted: Fit, observations: Observations) -> Fit:
@@ -104,19 +110,19 @@ def in_role(fitted: Fit, observations: Observations) -> Fit:
     used = np.array([True] * len(control.points)
                     + [name in lines for name in control.lines.features], dtype=bool)
     return replace(fitted, control=control, used=used,
-                   estimator=FIXED_COEFFICIENTS, stored_held_out=None, made=fitted)
+                   estimator=FIXED_COEFFICIENTS, stored_held_out=None, original=fitted)
 
 
 def figures(fitted: Fit, observations: Observations) -> dict[str, Rmse | None]:
     """Return the RMSE by role, and where control corrects itself, also that by leave-one-out."""
-    found = {"control": fitted.control_rmse(), "check": fitted.rmse(observations.check),
-             "independent": fitted.rmse(observations.independent)}
+    rmse_by_role = {"control": fitted.control_rmse(), "check": fitted.rmse(observations.check),
+                    "independent": fitted.rmse(observations.independent)}
     if fitted.model.corrects and fitted.estimator.repeatable:
-        found[LEAVE_ONE_OUT] = fitted.leave_one_out_rmse()
-    return found
+        rmse_by_role[LEAVE_ONE_OUT] = fitted.leave_one_out_rmse()
+    return rmse_by_role
 
 
-def residuals_of(chosen: Fit, observations: Observations, outliers: Iterable[Outlier] = (), *,
+def residuals_of(fitted: Fit, observations: Observations, outliers: Iterable[Outlier] = (), *,
                  check_used: bool = False,
                  independent_used: Collection[str] = ()) -> Residuals:
     """Return the residuals of all features that have a role, of a fit to the control.
@@ -127,15 +133,18 @@ def residuals_of(chosen: Fit, observations: Observations, outliers: Iterable[Out
     check = observations.check
     independent = observations.independent
     certainty = {outlier.id: outlier.certainty for outlier in outliers}
+    # Outliers without a role are shown as well: their residuals say why they lost it.
     points = observations.features.points
     off = points.take([name in certainty and role == "off"
                        for name, role in zip(points.ids, points.roles, strict=True)])
-    rows = (
-        *control_residuals(observations.control, chosen.used,
-                           chosen.errors(observations.control.points), chosen.line_errors()),
-        *point_residuals(check, chosen.errors(check), "check", [check_used] * len(check)),
-        *point_residuals(independent, chosen.errors(independent), "independent",
+    residuals = [
+        *control_residuals(observations.control, fitted.used,
+                           fitted.errors(observations.control.points), fitted.line_errors()),
+        *point_residuals(check, fitted.errors(check), "check", [check_used] * len(check)),
+        *point_residuals(independent, fitted.errors(independent), "independent",
                          [name in independent_used for name in independent.ids]),
-        *point_residuals(off, chosen.errors(off), "off", [False] * len(off)))
-    return Residuals((replace(row, blunder=certainty[row.id]) if row.id in certainty else row
-                      for row in rows), observations.control.crs)
+        *point_residuals(off, fitted.errors(off), "off", [False] * len(off))]
+    marked = (
+        replace(residual, blunder=certainty[residual.id]) if residual.id in certainty else residual
+        for residual in residuals)
+    return Residuals(marked, observations.control.crs)

@@ -30,7 +30,7 @@ from termsel.fitting.residuals import Residuals, Rmse, control_residuals, rmse_o
 from termsel.fitting.uncertainty import Spread, spread_of
 from termsel.models.base import SensorModel
 
-AT_ONCE = 2000
+MISFIT_BATCH = 2000
 """Places whose covariances are held in memory."""
 
 
@@ -110,9 +110,9 @@ class Estimator(ABC):
 
     def without_each(self, fitted: Fit) -> Iterator[Fit]:
         """Yield a fit of this estimator without each feature in use, by repeating it."""
-        for out in np.flatnonzero(fitted.used):
+        for index in np.flatnonzero(fitted.used):
             used = fitted.used.copy()
-            used[out] = False
+            used[index] = False
             yield self.fit(fitted.model, fitted.control, fitted.scaling, fitted.terms, used)
 
 
@@ -190,7 +190,7 @@ class Fit(Glance):
         shrunk.
     stored_held_out : HeldOut, optional
         Errors without each feature, where the estimator finds them on its way.
-    made : Fit, optional
+    original : Fit, optional
         The fit as it was made, where `control` is only a part of what it was fitted to.
     method : Method, optional
         What made the fit, if it is more than an estimator.
@@ -205,7 +205,7 @@ class Fit(Glance):
     estimator: Estimator
     trace: float | None = None
     stored_held_out: HeldOut | None = None
-    made: Fit | None = None
+    original: Fit | None = None
     method: Maker | None = None
 
     def _glance(self) -> tuple[str, Mapping[str, str]]:
@@ -222,8 +222,8 @@ class Fit(Glance):
     @cached_property
     def _scaled_used(self) -> FeatureSet:
         """The features that the fit was made with, scaled."""
-        made = self.made or self
-        return self.scaling.features(made.control.take(made.used))
+        original = self.original or self
+        return self.scaling.features(original.control.take(original.used))
 
     @property
     def interpolation(self) -> Interpolation | None:
@@ -286,16 +286,16 @@ class Fit(Glance):
         TermselError
             If the array has another shape.
         """
-        places = self._places(ground)
-        image = self._computed(places)
-        image[self.unseen(places)] = np.nan
+        points = self._ground_points(ground)
+        image = self._computed(points)
+        image[self.unseen(points)] = np.nan
         return image
 
-    def _computed(self, places: FloatArray) -> FloatArray:
+    def _computed(self, ground: FloatArray) -> FloatArray:
         """Return what the model gives for places (n, 3), be they behind the camera or not [px]."""
         scaled = self.model.predict(self.adjustment.coefficients, self._scaled_used,
-                                    self.scaling.ground(places))
-        return self._known(self.scaling.pixels(scaled), places)
+                                    self.scaling.ground(ground))
+        return self._nan_where_unknown(self.scaling.pixels(scaled), ground)
 
     def unseen(self, ground: ArrayLike) -> BoolArray:
         """Return whether ground points lie behind the camera or beyond the horizon, (n,).
@@ -314,12 +314,12 @@ class Fit(Glance):
         TermselError
             If the array has another shape.
         """
-        places = self._places(ground)
+        points = self._ground_points(ground)
         coefficients = self.adjustment.coefficients
-        below = self.model.denominators(coefficients, self.scaling.ground(places))
-        if below is None:
-            return np.zeros(len(places), dtype=bool)
-        return np.asarray(~(below * self._sides > 0.0).all(axis=1))
+        denominators = self.model.denominators(coefficients, self.scaling.ground(points))
+        if denominators is None:
+            return np.zeros(len(points), dtype=bool)
+        return np.asarray(~(denominators * self._denominator_signs > 0.0).all(axis=1))
 
     def above_horizon(self, image: ArrayLike) -> BoolArray:
         """Return whether image points lie above the horizon of the view, (n,).
@@ -347,23 +347,23 @@ class Fit(Glance):
         ground : array_like
             As for `project`.
         """
-        places = self._places(ground)
-        seen = ~self.unseen(places)
-        return seen if self.view is None else \
-            seen & self.view.holds(self.scaling.ground(places))
+        points = self._ground_points(ground)
+        visible = ~self.unseen(points)
+        return visible if self.view is None else \
+            visible & self.view.holds(self.scaling.ground(points))
 
     @cached_property
-    def _sides(self) -> FloatArray:
+    def _denominator_signs(self) -> FloatArray:
         """Signs of the denominators at most of the control, shape (2,)."""
-        below = self.model.denominators(self.adjustment.coefficients,
-                                        self._scaled_used.ground_vertices())
-        assert below is not None
-        return np.where(np.median(below, axis=0) < 0.0, -1.0, 1.0)
+        denominators = self.model.denominators(self.adjustment.coefficients,
+                                               self._scaled_used.ground_vertices())
+        assert denominators is not None
+        return np.where(np.median(denominators, axis=0) < 0.0, -1.0, 1.0)
 
     @cached_property
     def view(self) -> View | None:
         """The central projection that the points in use call for, of scaled places, or None."""
-        return (self.made or self).estimator.view(self._scaled_used, self.scaling)
+        return (self.original or self).estimator.view(self._scaled_used, self.scaling)
 
     def sigma(self, ground: ArrayLike, *, measured: bool = False) -> FloatArray:
         """Return the standard deviation of the error of `project`.
@@ -390,14 +390,16 @@ class Fit(Glance):
         TermselError
             If the array has another shape.
         """
-        made = self.made or self
-        places = self._places(ground)
-        found = made.estimator.spread(made, made.scaling.ground(places))
-        missed = made.missed_at(places)
-        variance = (found.variance + missed + found.noise * measured) * self.scaling.image_scale**2
-        variance += by_heights(made.control.take(made.used), made.scaling, made.project, places)
-        sigma = self._known(np.sqrt(variance), places)
-        sigma[self.unseen(places)] = np.nan
+        original = self.original or self
+        points = self._ground_points(ground)
+        spread = original.estimator.spread(original, original.scaling.ground(points))
+        misfit = original.missed_at(points)
+        variance = (spread.variance + misfit
+                    + spread.noise * measured) * self.scaling.image_scale ** 2
+        variance += by_heights(original.control.take(original.used), original.scaling,
+                               original.project, points)
+        sigma = self._nan_where_unknown(np.sqrt(variance), points)
+        sigma[self.unseen(points)] = np.nan
         return sigma
 
     def missed_at(self, ground: FloatArray) -> FloatArray:
@@ -405,10 +407,10 @@ class Fit(Glance):
         if self.misfit is None:
             return np.zeros((len(ground), 2))
         image = self.scaling.image(self._computed(ground))
-        known = np.isfinite(image).all(axis=1)
+        finite = np.isfinite(image).all(axis=1)
         squares = np.full(image.shape, np.nan)
-        for some in np.array_split(np.flatnonzero(known), len(ground) // AT_ONCE + 1):
-            squares[some] = self.misfit.squares(image[some])
+        for batch in np.array_split(np.flatnonzero(finite), len(ground) // MISFIT_BATCH + 1):
+            squares[batch] = self.misfit.squares(image[batch])
         return squares
 
     @cached_property
@@ -426,20 +428,20 @@ class Fit(Glance):
             self.control.take(self.used).points.ground))
         return misfit_of(image, points.image - image, points.sigma, self.effective)
 
-    def _places(self, ground: ArrayLike) -> FloatArray:
+    def _ground_points(self, ground: ArrayLike) -> FloatArray:
         """Return ground points (n, 3); a plane model also takes them without heights."""
-        places = np.asarray(ground, dtype=np.float64)
-        if places.shape[1:] == (2,) and not self.model.uses_height:
-            return np.pad(places, ((0, 0), (0, 1)), constant_values=np.nan)
-        if places.shape[1:] != (3,):
-            raise TermselError(f"ground points have shape {places.shape}, expected (n, 3)",
+        points = np.asarray(ground, dtype=np.float64)
+        if points.shape[1:] == (2,) and not self.model.uses_height:
+            return np.pad(points, ((0, 0), (0, 1)), constant_values=np.nan)
+        if points.shape[1:] != (3,):
+            raise TermselError(f"ground points have shape {points.shape}, expected (n, 3)",
                                hint="Models without heights take (n, 2), too.")
-        return places
+        return points
 
-    def _known(self, image: FloatArray, places: FloatArray) -> FloatArray:
+    def _nan_where_unknown(self, image: FloatArray, ground: FloatArray) -> FloatArray:
         """Return figures at places, and NaN where a coordinate that the model uses is unknown."""
-        needed = places if self.model.uses_height else places[:, :2]
-        image[~np.isfinite(needed).all(axis=1)] = np.nan
+        coordinates = ground if self.model.uses_height else ground[:, :2]
+        image[~np.isfinite(coordinates).all(axis=1)] = np.nan
         return image
 
     def locate(self, image: ArrayLike, heights: ArrayLike | Surface) -> FloatArray:
@@ -451,8 +453,8 @@ class Fit(Glance):
 
     def ground_box(self) -> tuple[FloatArray, FloatArray]:
         """Return middle and half-range of the control, shapes (3,), in its own CRS."""
-        own = self.scaling
-        box = scaling_of(replace(self.control, fit_crs="")) if own.fit_crs else own
+        scaling = self.scaling
+        box = scaling_of(replace(self.control, fit_crs="")) if scaling.fit_crs else scaling
         return np.array(box.ground_offset), np.array(box.ground_scale)
 
     def image_box(self) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -495,18 +497,18 @@ class Fit(Glance):
             If the control without some feature does not determine the terms, or the
             coefficients were given.
         """
-        each, determined = self.errors_without_each
+        errors_each, determined = self.errors_without_each
         if not determined:
             raise Undetermined("without one of its control features the fit is not determined",
                                hint="Measure more control, or choose a model with fewer terms.")
         n = len(self.control.points)
         points = self.errors(self.control.points)
         lines = self.line_errors()
-        for out, errors in zip(np.flatnonzero(self.used), each, strict=True):
-            if out < n:
-                points[out] = errors[0]
+        for index, errors in zip(np.flatnonzero(self.used), errors_each, strict=True):
+            if index < n:
+                points[index] = errors[0]
             else:
-                lines[self.control.lines.feature == out - n] = errors.reshape(-1, 2, 2)
+                lines[self.control.lines.feature == index - n] = errors.reshape(-1, 2, 2)
         return control_residuals(self.control, self.used, points, lines)
 
     def held_out(self) -> HeldOut:
@@ -544,8 +546,8 @@ class Fit(Glance):
 
         Where the others do not determine the terms, their least-norm solution counts.
         """
-        each, _ = self.errors_without_each
-        return rmse_of(np.concatenate(each), len(each))
+        errors_each, _ = self.errors_without_each
+        return rmse_of(np.concatenate(errors_each), len(errors_each))
 
     @cached_property
     def errors_without_each(self) -> tuple[tuple[FloatArray, ...], bool]:
@@ -554,9 +556,9 @@ class Fit(Glance):
             errors = self.stored_held_out.errors
             owner = self.control.take(self.used).vertex_feature
             return tuple(errors[owner == i] for i in range(owner.max() + 1)), True
-        found = self.interpolation if self.estimator.repeatable else None
-        return _repeated(self) if found is None else (
-            tuple(found.errors[:, None] * self.scaling.image_scale), True)
+        interpolation = self.interpolation if self.estimator.repeatable else None
+        return _errors_by_refitting(self) if interpolation is None else (
+            tuple(interpolation.errors[:, None] * self.scaling.image_scale), True)
 
     def control_rmse(self) -> Rmse | None:
         """Return the RMSE of the control features in use."""
@@ -564,11 +566,11 @@ class Fit(Glance):
 
     def control_errors(self, features: BoolArray) -> FloatArray:
         """Return the errors of some control features [px], of lines at each vertex."""
-        some = self.control.take(features)
-        errors = [self.errors(some.points)]
-        if len(some.lines):
-            which = features[len(self.control.points):][self.control.lines.feature]
-            errors.append(self.line_errors()[which].reshape(-1, 2))
+        selected = self.control.take(features)
+        errors = [self.errors(selected.points)]
+        if len(selected.lines):
+            selected_lines = features[len(self.control.points):][self.control.lines.feature]
+            errors.append(self.line_errors()[selected_lines].reshape(-1, 2))
         return np.concatenate(errors)
 
     def rmse(self, points: Points) -> Rmse | None:
@@ -577,7 +579,7 @@ class Fit(Glance):
 
 
 @one_blas_thread
-def _repeated(fitted: Fit) -> tuple[tuple[FloatArray, ...], bool]:
-    others = list(fitted.estimator.without_each(fitted))
-    return (tuple(other.control_errors(fitted.used & ~other.used) for other in others),
-            all(other.determined for other in others))
+def _errors_by_refitting(fitted: Fit) -> tuple[tuple[FloatArray, ...], bool]:
+    refits = list(fitted.estimator.without_each(fitted))
+    return (tuple(refit.control_errors(fitted.used & ~refit.used) for refit in refits),
+            all(refit.determined for refit in refits))

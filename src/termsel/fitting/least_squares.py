@@ -20,14 +20,16 @@ from termsel.fitting.population import Fits
 from termsel.models.base import SensorModel
 from termsel.models.quotient import RationalModel
 
-REFITTED = 40
+MAX_REFITTED_POINTS = 40
 """Points up to which distances are iterated again without each of them: of more, one step from the
 solution is as good."""
 
-OFFSET, ROUNDING = 1e-3, 1e-12
-"""A fit has converged where a step would take away less than this share of the residuals
-(the relative offset of D.M. Bates and D.G. Watts, Technometrics 23 (1981) 179-183), or less than
-this much of each in the scaled image unit."""
+CONVERGENCE_OFFSET = 1e-3
+"""A fit has converged where a step would take away less than this share of the residuals: the
+relative offset of D.M. Bates and D.G. Watts, Technometrics 23 (1981) 179-183."""
+
+RESIDUAL_ROUNDING = 1e-12
+"""Or less than this much of each residual, in the scaled image unit."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,8 @@ class LeastSquares(Estimator):
         features = scaling.features(control)
         adjustment = (adjust(model, features, terms, used) if self.iterated
                       else solve(first_order(model, features), terms, used))
-        return Fit(model, scaling, control, terms, used, adjustment, self)
+        return Fit(model=model, scaling=scaling, control=control, terms=terms, used=used,
+                   adjustment=adjustment, estimator=self)
 
     def held_out(self, fitted: Fit) -> HeldOut:
         """Return the errors of features in use, each under least squares without it.
@@ -85,12 +88,12 @@ class LeastSquares(Estimator):
         if solutions is None:
             yield from super().without_each(fitted)
             return
-        for out in np.flatnonzero(fitted.used):
+        for index in np.flatnonzero(fitted.used):
             used = fitted.used.copy()
-            used[out] = False
+            used[index] = False
             # Of the adjustment, only the coefficients are those of the others.
             yield replace(fitted, used=used, adjustment=replace(
-                fitted.adjustment, coefficients=solutions[out]))
+                fitted.adjustment, coefficients=solutions[index]))
 
 
 LEAST_SQUARES = LeastSquares()
@@ -104,51 +107,68 @@ def adjust(model: SensorModel, features: FeatureSet, terms: BoolArray,
     Steps begin at the model's own start, else at the solution of its equations. A step that does
     not lessen the sum of squared distances is halved, and where that does not help the search ends.
     """
-    start = model.start(features.take(used))
-    if start is None:
-        adjustment = solve(model.equations(features), terms, used)
-        first = model.first_terms
-        x = (adjustment if first is None else
-             solve(model.equations(features), terms & first, used)).coefficients
-        equations = model.linearised(features, x) if adjustment.feasible else None
-        if equations is None:
-            return adjustment
-    else:
-        x = np.where(terms, start, 0.0)
-        equations = _linearised(model, features, x)
-        adjustment = replace(solve(equations, terms, used), coefficients=x)
-        if not adjustment.feasible:
-            return adjustment
+    adjustment, x, equations = _first_solution(model, features, terms, used)
+    if equations is None:
+        return adjustment
 
-    def left(equations: Equations, coefficients: FloatArray) -> FloatArray:
-        """Return what the rows in use leave, pseudo-observations with them."""
-        A, b = equations.take(used[equations.feature], np.ones_like(terms)).with_prior()
+    def residuals_of(equations: Equations, coefficients: FloatArray) -> FloatArray:
+        """Return the residuals of the rows in use, those of pseudo-observations with them."""
+        in_use = equations.take(used[equations.feature], np.ones_like(terms))
+        A, b = in_use.with_prior()
         return np.asarray(b - A @ coefficients)
 
-    converged, steps, v = False, 0, left(equations, x)
-    while np.isfinite(v).all():
-        full = solve(equations, terms, used).coefficients
+    residuals = residuals_of(equations, x)
+    steps = 0
+    converged = False
+    while np.isfinite(residuals).all():
+        solution = solve(equations, terms, used).coefficients
         # The share of the residuals that the tangent plane can still take away.
-        gain = v - left(equations, full)
-        converged = bool(np.linalg.norm(gain)
-                         <= OFFSET * np.linalg.norm(v) + ROUNDING * len(v)**0.5)
-        for share in HALVINGS if steps < ITERATIONS else ():
-            tried = x + share * (full - x)
-            nearer = _linearised(model, features, tried)
-            w = left(nearer, tried)
-            if w @ w < (1 - 1e-10) * (v @ v):
+        gain = residuals - residuals_of(equations, solution)
+        converged = bool(np.linalg.norm(gain) <= CONVERGENCE_OFFSET * np.linalg.norm(residuals)
+                         + RESIDUAL_ROUNDING * len(residuals)**0.5)
+        if steps == ITERATIONS:
+            break
+        # Halved until the sum of squares falls; where that never happens the search ends.
+        for share in HALVINGS:
+            candidate = x + share * (solution - x)
+            candidate_equations = _linearised(model, features, candidate)
+            candidate_residuals = residuals_of(candidate_equations, candidate)
+            if (candidate_residuals @ candidate_residuals
+                    < (1 - 1e-10) * (residuals @ residuals)):
                 break
         else:
             break
-        there = solve(nearer, terms, used)
-        if not there.feasible:  # near a pole, where the equations say nothing of what is determined
+        candidate_adjustment = solve(candidate_equations, terms, used)
+        # Near a pole the equations say nothing of what is determined.
+        if not candidate_adjustment.feasible:
             break
-        x = tried
-        equations = nearer
-        v = w
-        steps = steps + 1
-        adjustment = replace(there, coefficients=x)
+        x = candidate
+        equations = candidate_equations
+        residuals = candidate_residuals
+        adjustment = replace(candidate_adjustment, coefficients=x)
+        steps += 1
     return replace(adjustment, steps=steps, converged=converged)
+
+
+def _first_solution(model: SensorModel, features: FeatureSet, terms: BoolArray,
+                    used: BoolArray) -> tuple[Adjustment, FloatArray, Equations | None]:
+    """Return an adjustment, the coefficients where Gauss-Newton steps begin, and their equations.
+
+    The equations are None where there is nothing to iterate: they are exact, or do not determine
+    the terms.
+    """
+    start = model.start(features.take(used))
+    if start is not None:
+        x = np.where(terms, start, 0.0)
+        equations = _linearised(model, features, x)
+        adjustment = replace(solve(equations, terms, used), coefficients=x)
+        return adjustment, x, equations if adjustment.feasible else None
+    adjustment = solve(model.equations(features), terms, used)
+    x = adjustment.coefficients
+    # Some terms are better found last: steps then begin with the solution of the others.
+    if model.first_terms is not None:
+        x = solve(model.equations(features), terms & model.first_terms, used).coefficients
+    return adjustment, x, model.linearised(features, x) if adjustment.feasible else None
 
 
 def _linearised(model: SensorModel, features: FeatureSet, coefficients: FloatArray) -> Equations:
@@ -170,7 +190,7 @@ def first_order(model: SensorModel, features: FeatureSet) -> Equations:
     return _linearised(model, features, adjust(model, features, *everything).coefficients)
 
 
-def solutions_without_each(parts: tuple[IndependentPart, ...], terms: BoolArray,
+def solutions_without_each(systems: tuple[IndependentPart, ...], terms: BoolArray,
                            used: BoolArray) -> FloatArray | None:
     """Return the least-squares solutions without each feature, in closed form, shape (n, k).
 
@@ -178,11 +198,12 @@ def solutions_without_each(parts: tuple[IndependentPart, ...], terms: BoolArray,
     the terms are not determined, or some feature is indispensable.
     """
     solutions = np.zeros((len(used), len(terms)))
-    for part in parts:
-        found, determined = leave_one_out(part.equations, terms[None, part.columns], used[None])
+    for system in systems:
+        solutions_of_system, determined = leave_one_out(system.equations,
+                                                        terms[None, system.columns], used[None])
         if not determined.all():
             return None
-        solutions[:, part.columns] = found[:, 0]
+        solutions[:, system.columns] = solutions_of_system[:, 0]
     return solutions
 
 
@@ -211,21 +232,26 @@ def left_out_squares(fitted: Fit) -> FloatArray:
     control = fitted.scaled_control
     weighted = isinstance(model, RationalModel) and model.weighted
     equations = model.linearised(control, fitted.adjustment.coefficients) if weighted else None
-    parts = independent_parts(equations or first_order(model, control), model.axis)
-    solutions = solutions_without_each(parts, fitted.terms, fitted.used)
+    systems = independent_parts(equations or first_order(model, control), model.axis)
+    solutions = solutions_without_each(systems, fitted.terms, fitted.used)
     if solutions is None:
         return np.full(len(control), np.inf)
-    if weighted and len(control) <= REFITTED and not len(control.lines):
+    if weighted and len(control) <= MAX_REFITTED_POINTS and not len(control.lines):
         solutions = _refitted_without_each(fitted)
-    fits = Fits(model, control.points, no_points(), fitted.scaling.image_scale,
-                fitted.terms[None], fitted.adjustment.coefficients[None], control.lines, parts)
+    fits = Fits(model=model, control=control.points, check=no_points(),
+                pixels=fitted.scaling.image_scale, terms=fitted.terms[None],
+                coefficients=fitted.adjustment.coefficients[None], lines=control.lines,
+                parts=systems)
     return np.asarray(fits.held_out_each(solutions[:, None])[0])
 
 
 def _refitted_without_each(fitted: Fit) -> FloatArray:
     """Return the least squares of distances in the image of points without each, shape (n, k)."""
-    model, control, n = fitted.model, fitted.scaled_control, len(fitted.control)
+    model = fitted.model
     assert isinstance(model, RationalModel)
+    control = fitted.scaled_control
+    count = len(control)
+    # One individual for each point, which uses all others.
     return model.least_distances(
         control.points, independent_parts(model.equations(control), model.axis),
-        np.tile(fitted.terms, (n, 1)), ~np.eye(n, dtype=bool))
+        np.tile(fitted.terms, (count, 1)), ~np.eye(count, dtype=bool))

@@ -7,7 +7,9 @@ import numpy as np
 from termsel.core.options import Option
 from termsel.data.features import BoolArray, FloatArray
 
-SQUARES, HUBER, MEDIAN = "squares", "huber", "median"
+SQUARES = "squares"
+HUBER = "huber"
+MEDIAN = "median"
 
 LOSS = Option("loss", SQUARES, "Figure of the errors of features: squares, their RMSE; or huber or "
                                "median, which are robust against blunders.",
@@ -16,7 +18,7 @@ THRESHOLD = Option("threshold", 2.0, "With Huber's loss, the distance, relative 
                                      "distance, beyond which errors count linearly.", float, 0.1,
                    1e6)
 
-NORMAL = float(1.0 / np.sqrt(np.log(2.0)))
+RMSE_BY_MEDIAN = float(1.0 / np.sqrt(np.log(2.0)))
 """Ratio of the RMSE of points to the median of their distances, for normal errors: sqrt(2) over
 sqrt(2 ln 2)."""
 
@@ -41,7 +43,7 @@ def figure(distances: FloatArray, weights: FloatArray, loss: str = SQUARES,
         else:
             middle = _medians(d, used)
             if loss == MEDIAN:
-                return np.where(counted, NORMAL * middle, np.inf)
+                return np.where(counted, RMSE_BY_MEDIAN * middle, np.inf)
             c = threshold * middle[:, None]
             losses = np.where(d <= c, d**2, 2 * c * d - c**2)
         total = np.where(used, weights, 0.0).sum(axis=1)

@@ -88,7 +88,7 @@ class Method(ABC):
     from_one : bool
         Whether one feature is enough, as the method knows what features do not determine. Then
         two or three are not taken for a model that they determine exactly.
-    most : float
+    max_features : float
         Number of features up to which it is tried: more tell as much as what it knows. Where the
         choice is repeated without some features, the number of all of them counts.
     """
@@ -110,7 +110,7 @@ class Method(ABC):
     on_request: bool = False
     central: bool = False
     from_one: bool = False
-    most: float = np.inf
+    max_features: float = np.inf
 
     @property
     def label(self) -> str:

@@ -27,28 +27,28 @@ import numpy as np
 
 from termsel.data.features import FloatArray
 
-LENGTHS = ((0.2, 0.2), (0.4, 0.4), (0.8, 0.8), (0.15, 2.0), (2.0, 0.15))
+MISFIT_LENGTHS = ((0.2, 0.2), (0.4, 0.4), (0.8, 0.8), (0.15, 2.0), (2.0, 0.15))
 """Lengths of line and sample, by the half-range of the image; the last two are those of scanners
 that shake and of strips."""
 
-RATIOS = (0.4, 0.8, 1.6)
+MISFIT_RATIOS = (0.4, 0.8, 1.6)
 """Standard deviations of the field by that of the noise."""
 
-FIELD = 0.12
+MISFIT_PROBABILITY = 0.12
 """Probability of a field before the residuals are looked at. Few residuals do not tell a field of
 short length from noise, so that this is what they add then: tuned on simulated sheets, photos and
 scanners (docs/explanation/judgement.md)."""
 
-MOST = 200
+MISFIT_MAX_POINTS = 200
 """Points by which the field is found; of more, such as are spread over the image."""
 
-FEWEST = 6
+MISFIT_MIN_POINTS = 6
 """Points below which nothing tells a field."""
 
-QUADRATIC = 20
+QUADRATIC_TREND_POINTS = 20
 """Points from which on the trend is quadratic; else it is affine."""
 
-NEGLIGIBLE = 1e-4
+NEGLIGIBLE_SHARE = 1e-4
 """Probability of a solution that is left out."""
 
 
@@ -72,7 +72,7 @@ class Solution:
 class Misfit:
     """What a model does not fit, in scaled coordinates: solutions with a field."""
 
-    places: FloatArray  # (n, 2): of the control, in the image
+    positions: FloatArray  # (n, 2): of the control, in the image
     solutions: tuple[Solution, ...]
 
     @property
@@ -84,21 +84,22 @@ class Misfit:
         """Return the mean square of what the model misses at places in the image, (m, 2)."""
         total = np.zeros((len(image), 2))
         for solution in self.solutions:
-            along = solution.ratio**2 * matern(image, self.places, solution.lengths)    # (m, n)
-            mean = along @ solution.weights
-            seen = np.einsum("mn,nk,mk->m", along, solution.projection, along)
-            left = np.maximum(solution.ratio**2 - seen, 0.0)[:, None] * solution.noise
-            total += solution.share * (left + mean**2)
+            # (m, n)
+            covariances = solution.ratio**2 * matern(image, self.positions, solution.lengths)
+            mean = covariances @ solution.weights
+            explained = np.einsum("mn,nk,mk->m", covariances, solution.projection, covariances)
+            unexplained = np.maximum(solution.ratio**2 - explained, 0.0)[:, None] * solution.noise
+            total += solution.share * (unexplained + mean**2)
         return total
 
     def covariance(self, image: FloatArray, axis: int) -> FloatArray:
         """Return the covariance of what the model misses among places in the image, (m, m)."""
         total = np.zeros((len(image), len(image)))
         for solution in self.solutions:
-            along = solution.ratio**2 * matern(image, self.places, solution.lengths)
+            covariances = solution.ratio**2 * matern(image, self.positions, solution.lengths)
             prior = solution.ratio**2 * matern(image, image, solution.lengths)
             total += solution.share * solution.noise[axis] * (
-                prior - along @ solution.projection @ along.T)
+                prior - covariances @ solution.projection @ covariances.T)
         return total
 
 
@@ -109,50 +110,53 @@ def misfit_of(image: FloatArray, residuals: FloatArray, sigma: FloatArray | None
     The image (n, 2) is where the model sees the control, all scaled; `sigma` (n, 2) are standard
     deviations of the measurements, if known, and `effective` the parameters of both axes together.
     """
-    if len(image) > MOST:
-        rows = np.linspace(0, len(image) - 1, MOST).round().astype(int)
-        effective *= MOST / len(image)
+    if len(image) > MISFIT_MAX_POINTS:
+        rows = np.linspace(0, len(image) - 1, MISFIT_MAX_POINTS).round().astype(int)
+        effective *= MISFIT_MAX_POINTS / len(image)
         image = image[rows]
         residuals = residuals[rows]
         sigma = None if sigma is None else sigma[rows]
     n = len(image)
     trend = _trend(image)
     freedom = n - trend.shape[1]
-    if n < FEWEST or 2 * n - effective < 2.0 or freedom < 2 or not residuals.any():
+    if n < MISFIT_MIN_POINTS or 2 * n - effective < 2.0 or freedom < 2 or not residuals.any():
         return None
     # The model has taken up more than the trend: as much larger its residuals would be else.
     residuals = residuals * np.sqrt(2 * freedom / (2 * n - effective))
     noise = np.ones(n) if sigma is None else (sigma**2).mean(axis=1) / np.median(sigma**2)
-    logs = [_solved(np.diag(noise), trend, residuals)[0] + np.log(1.0 - FIELD)]
-    found = []
-    each = FIELD / len(LENGTHS) / len(RATIOS)
-    for lengths in LENGTHS:
+    logs = [
+        _restricted_likelihood(np.diag(noise), trend, residuals)[0]
+        + np.log(1.0 - MISFIT_PROBABILITY)
+    ]
+    fields = []
+    prior_probability = MISFIT_PROBABILITY / len(MISFIT_LENGTHS) / len(MISFIT_RATIOS)
+    for lengths in MISFIT_LENGTHS:
         correlation = matern(image, image, lengths)
-        for ratio in RATIOS:
-            log, projection, square = _solved(
+        for ratio in MISFIT_RATIOS:
+            log, projection, square = _restricted_likelihood(
                 np.diag(noise) + ratio**2 * correlation, trend, residuals)
-            logs.append(log + np.log(each))
-            found.append((lengths, ratio, projection, square))
+            logs.append(log + np.log(prior_probability))
+            fields.append((lengths, ratio, projection, square))
     if not np.isfinite(logs).all():  # seen on one line of the image: no trend is determined
         return None
     shares = np.exp(np.array(logs) - np.logaddexp.reduce(logs))
     return Misfit(image, tuple(
         Solution(float(share), lengths, ratio, projection @ residuals, projection,
                  square / max(freedom - 2, 1))
-        for share, (lengths, ratio, projection, square) in zip(shares[1:], found, strict=True)
-        if share > NEGLIGIBLE))
+        for share, (lengths, ratio, projection, square) in zip(shares[1:], fields, strict=True)
+        if share > NEGLIGIBLE_SHARE))
 
 
-def _solved(covariance: FloatArray, trend: FloatArray,
-            residuals: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+def _restricted_likelihood(covariance: FloatArray, trend: FloatArray,
+                           residuals: FloatArray) -> tuple[float, FloatArray, FloatArray]:
     """Return the restricted log likelihood, P, and r' P r of line and sample (2,).
 
     The variance s^2 of each axis is integrated out.
     """
     lower = np.linalg.cholesky(covariance)
     inverse = np.linalg.inv(lower)
-    turned = inverse @ trend
-    q, r = np.linalg.qr(turned)
+    whitened_trend = inverse @ trend
+    q, r = np.linalg.qr(whitened_trend)
     root = inverse - q @ (q.T @ inverse)
     projection = root.T @ root
     square = np.maximum((residuals * (projection @ residuals)).sum(axis=0), np.finfo(float).tiny)
@@ -165,7 +169,7 @@ def _solved(covariance: FloatArray, trend: FloatArray,
 def _trend(image: FloatArray) -> FloatArray:
     line, sample = image.T
     columns = [np.ones(len(image)), line, sample]
-    if len(image) >= QUADRATIC:
+    if len(image) >= QUADRATIC_TREND_POINTS:
         columns += [line**2, line * sample, sample**2]
     return np.column_stack(columns)
 
@@ -173,6 +177,6 @@ def _trend(image: FloatArray) -> FloatArray:
 def matern(a: FloatArray, b: FloatArray, lengths: tuple[float, float]) -> FloatArray:
     """Return the correlations between places, shape (len(a), len(b))."""
     scale = np.sqrt(3.0) / np.array(lengths)
-    apart = (a * scale)[:, None] - (b * scale)[None]
-    r = np.sqrt((apart**2).sum(axis=2))
+    differences = (a * scale)[:, None] - (b * scale)[None]
+    r = np.sqrt((differences**2).sum(axis=2))
     return np.asarray((1.0 + r) * np.exp(-r))

@@ -23,11 +23,11 @@ from termsel.data.features import FloatArray, IntArray
 from termsel.fitting.fit import Fit
 from termsel.fitting.uncertainty import Spread, believed_spread
 
-APART = 0.2
+MIN_DISTANCE = 0.2
 """Least distance of two places in the image, as a share of its longer side."""
 
 
-FAINT = 1e-3
+MIN_VARIANCE_SHARE = 1e-3
 """Part of the largest variance of a misfit below which a direction is left out."""
 
 
@@ -36,90 +36,100 @@ class Ranking:
     """Places in the order in which they should be measured.
 
     `order` has numbers of candidates, `sigma` the root mean square uncertainty of a position over
-    the scene after each of them [px], `now` the same before.
+    the scene after each of them [px], `sigma_before` the same before.
     """
 
     order: IntArray
     sigma: FloatArray
-    now: float
+    sigma_before: float
 
 
 def rank_places(fitted: Fit, candidates: FloatArray, scene: FloatArray, count: int,
-                apart: float = APART, *, misfit: bool = False) -> Ranking:
+                min_distance: float = MIN_DISTANCE, *, misfit: bool = False) -> Ranking:
     """Return the best places to measure next, at most `count` of the candidates.
 
     Candidates (c, 3) and the scene where the model is to be good (m, 3) are on the ground. A spline
-    or a field is taken for the shrunken cubic polynomial of its control. Two places are `apart` in
-    the image, as a share of its longer side; where no candidate is as far from all places before
-    it, any may follow. With `misfit` the uncertainty holds what the model does not fit, too, as
-    that of `Fit.sigma` does. Raises TermselError if the uncertainty of the fit is not known.
+    or a field is taken for the shrunken cubic polynomial of its control. Two places are
+    `min_distance` apart in the image, as a share of its longer side; where no candidate is as far
+    from all places before it, any may follow. With `misfit` the uncertainty holds what the model
+    does not fit, too, as that of `Fit.sigma` does.
+
+    Raises
+    ------
+    TermselError
+        If the uncertainty of the fit is not known.
     """
-    made = fitted.made or fitted
+    original = fitted.original or fitted
     # Where the candidates are the scene, its places count once: work grows with their square.
     everywhere = scene if candidates is scene else np.concatenate([candidates, scene])
-    both = covariances(made, everywhere, misfit=misfit)
-    if both is None or both.factors is None:
+    spread = covariances(original, everywhere, misfit=misfit)
+    if spread is None or spread.factors is None:
         raise TermselError("the uncertainty of this model is not known",
                            hint="Plan with 4 or more control points alone; with lines, by a model "
                                 "of least squares, such as --model poly3d.")
-    at = both.factors[:len(candidates)]
-    there = both.factors[-len(scene):]
-    left = np.eye(at.shape[2])  # what measurements leave of the directions of doubt
-    over = np.einsum("mad,mae->de", there, there) / len(there)
+    # Doubt has d directions: the covariance of what is predicted at two places is F1 R F2', F the
+    # factors of a place (2, d), and R (d, d) what measurements leave of the directions, at first I.
+    candidate_factors = spread.factors[:len(candidates)]
+    scene_factors = spread.factors[-len(scene):]
+    remaining = np.eye(candidate_factors.shape[2])
+    # The mean variance over the scene is tr(R G), G the mean of F'F.
+    scene_products = np.einsum("mad,mae->de", scene_factors, scene_factors) / len(scene_factors)
     image = fitted.project(candidates)
     box = np.array(fitted.image_box())
-    distance = apart * float(np.ptp(box, axis=0).max())
+    distance = min_distance * float(np.ptp(box, axis=0).max())
     free = np.ones(len(candidates), dtype=bool)
-    near = np.zeros(len(candidates), dtype=bool)
-    chosen: list[int] = []
-    after: list[float] = []
+    too_near = np.zeros(len(candidates), dtype=bool)
+    order: list[int] = []
+    mean_variances: list[float] = []
     for _ in range(min(count, len(candidates))):
-        gains = _gains(at, left, over, both.noise)
+        gains = _gains(candidate_factors, remaining, scene_products, spread.noise)
         gains[~free] = -np.inf
-        if (free & ~near).any():
-            gains[near] = -np.inf
+        if (free & ~too_near).any():
+            gains[too_near] = -np.inf
         best = int(np.argmax(gains))
         free[best] = False
-        near |= np.hypot(*(image - image[best]).T) < distance
+        too_near |= np.hypot(*(image - image[best]).T) < distance
         for axis in (0, 1):
-            left = _measured(left, at[best, axis], both.noise[axis])
-        chosen.append(best)
-        after.append(float(np.trace(left @ over)))
-    scale = made.scaling.image_scale
-    return Ranking(np.array(chosen, dtype=np.intp), np.sqrt(after) * scale,
-                   float(np.sqrt(np.trace(over))) * scale)
+            remaining = _measured(remaining, candidate_factors[best, axis], spread.noise[axis])
+        order.append(best)
+        mean_variances.append(float(np.trace(remaining @ scene_products)))
+    scale = original.scaling.image_scale
+    return Ranking(np.array(order, dtype=np.intp), np.sqrt(mean_variances) * scale,
+                   float(np.sqrt(np.trace(scene_products))) * scale)
 
 
-def covariances(made: Fit, ground: FloatArray, *, misfit: bool) -> Spread | None:
+def covariances(original: Fit, ground: FloatArray, *, misfit: bool) -> Spread | None:
     """Return the mean square errors of a fit at places (m, 3), with factors; None if not known.
 
     With `misfit` they hold what the model does not fit.
     """
-    places = made.scaling.ground(ground)
-    spread: Spread | None = made.estimator.spread(made, places)
+    scaled_ground = original.scaling.ground(ground)
+    spread: Spread | None = original.estimator.spread(original, scaled_ground)
     if spread is not None and spread.factors is None:  # a local model, which tells no covariances
-        spread = believed_spread(made.model, made.scaled_control.take(made.used), places,
-                                 np.zeros((len(places), 2)))
+        spread = believed_spread(original.model, original.scaled_control.take(original.used),
+                                 scaled_ground, np.zeros((len(scaled_ground), 2)))
     if spread is None or spread.factors is None or not np.isfinite(spread.factors).all():
         return None
-    return _with_misfit(spread, made, ground) if misfit and made.misfit is not None else spread
+    if misfit and original.misfit is not None:
+        return _with_misfit(spread, original, ground)
+    return spread
 
 
-def _with_misfit(spread: Spread, made: Fit, ground: FloatArray) -> Spread:
+def _with_misfit(spread: Spread, original: Fit, ground: FloatArray) -> Spread:
     """Return a spread whose factors span what the model does not fit, too (see `Misfit`)."""
-    assert made.misfit is not None
+    assert original.misfit is not None
     assert spread.factors is not None
-    image = made.scaling.image(made.project(ground))
+    image = original.scaling.image(original.project(ground))
     spans = [spread.factors]
-    seen = np.isfinite(image).all(axis=1)
+    visible = np.isfinite(image).all(axis=1)
     for axis in (0, 1):
-        values, vectors = np.linalg.eigh(made.misfit.covariance(image[seen], axis))
-        strong = values > FAINT * max(float(values[-1]), np.finfo(float).tiny)
+        values, vectors = np.linalg.eigh(original.misfit.covariance(image[visible], axis))
+        strong = values > MIN_VARIANCE_SHARE * max(float(values[-1]), np.finfo(float).tiny)
         span = np.zeros((len(ground), 2, int(strong.sum())))
-        span[seen, axis] = vectors[:, strong] * np.sqrt(values[strong])
+        span[visible, axis] = vectors[:, strong] * np.sqrt(values[strong])
         spans.append(span)
     factors = np.concatenate(spans, axis=2)
-    return Spread(spread.variance + made.missed_at(ground), spread.noise, factors)
+    return Spread(spread.variance + original.missed_at(ground), spread.noise, factors)
 
 
 def share_left(fitted: Fit, ground: FloatArray) -> float:
@@ -130,30 +140,33 @@ def share_left(fitted: Fit, ground: FloatArray) -> float:
     1 / (C^-1)_ii, and C_ii without them. The measurements themselves are not looked at. 1 where the
     covariances are not known.
     """
-    spread = covariances(fitted.made or fitted, ground, misfit=True)
+    spread = covariances(fitted.original or fitted, ground, misfit=True)
     if spread is None or spread.factors is None or not (spread.noise > 0).all():
         return 1.0
-    alone = np.zeros(2)
-    among = np.zeros(2)
+    variance_alone = np.zeros(2)
+    variance_among = np.zeros(2)
     for axis, noise in enumerate(spread.noise):
         factors = spread.factors[:, axis]                                          # (m, d)
         # C = F F' + s I, so that C^-1 = (I - F (s I + F' F)^-1 F') / s.
         inner = noise * np.eye(factors.shape[1]) + factors.T @ factors
-        kept = 1.0 - (factors * np.linalg.solve(inner, factors.T).T).sum(axis=1)
-        alone[axis] = (noise + (factors**2).sum(axis=1)).mean()
-        among[axis] = (noise / np.maximum(kept, np.finfo(float).eps)).mean()
-    return float(np.sqrt(min(among.sum() / alone.sum(), 1.0)))
+        unexplained = 1.0 - (factors * np.linalg.solve(inner, factors.T).T).sum(axis=1)
+        variance_alone[axis] = (noise + (factors**2).sum(axis=1)).mean()
+        variance_among[axis] = (noise / np.maximum(unexplained, np.finfo(float).eps)).mean()
+    return float(np.sqrt(min(variance_among.sum() / variance_alone.sum(), 1.0)))
 
 
-def _gains(at: FloatArray, left: FloatArray, over: FloatArray, noise: FloatArray) -> FloatArray:
+def _gains(factors: FloatArray, remaining: FloatArray, scene_products: FloatArray,
+           noise: FloatArray) -> FloatArray:
     """Return by how much a measurement at each candidate lessens the mean variance, shape (c,)."""
-    toward = at @ left                                                       # (c, 2, d)
-    own = np.einsum("cad,cbd->cab", toward, at) + np.diag(noise)             # (c, 2, 2)
-    seen = np.einsum("cae,cbe->cab", toward @ over, toward)
-    return np.asarray(np.einsum("cab,cba->c", np.linalg.inv(own), seen))
+    # With the covariance M = F R F' + s of a measurement, the mean variance falls by
+    # tr(M^-1 F R G R F').
+    toward = factors @ remaining                                                      # (c, 2, d)
+    measurement = np.einsum("cad,cbd->cab", toward, factors) + np.diag(noise)
+    lessened = np.einsum("cae,cbe->cab", toward @ scene_products, toward)
+    return np.asarray(np.einsum("cab,cba->c", np.linalg.inv(measurement), lessened))
 
 
-def _measured(left: FloatArray, at: FloatArray, noise: float) -> FloatArray:
-    """Return what a further measurement leaves."""
-    toward = left @ at
-    return np.asarray(left - np.outer(toward, toward) / (noise + at @ toward))
+def _measured(remaining: FloatArray, factor: FloatArray, noise: float) -> FloatArray:
+    """Return what a further measurement leaves: R - R f f'R / (s + f'R f)."""
+    toward = remaining @ factor
+    return np.asarray(remaining - np.outer(toward, toward) / (noise + factor @ toward))

@@ -34,14 +34,14 @@ def chances_if_normal(errors: FloatArray) -> tuple[float, float] | None:
         np.polyval([-2.706056, 4.434685, -2.071190, -0.147981, 0.221157, 0.0], u))
     inner = inner * np.sqrt((1 - 2 * ends @ ends) / (inner @ inner))
     central = np.sort(errors, axis=0) - errors.mean(axis=0)
-    beyond = np.log1p(-(np.concatenate([-ends[::-1], inner, ends]) @ central) ** 2
-                      / (central**2).sum(axis=0))
+    log_unexplained = np.log1p(-(np.concatenate([-ends[::-1], inner, ends]) @ central) ** 2
+                               / (central**2).sum(axis=0))
     if n < 12:
-        statistic = -np.log(0.459 * n - 2.273 - beyond)
+        statistic = -np.log(0.459 * n - 2.273 - log_unexplained)
         mean = np.polyval([-6.714e-4, 0.025054, -0.39978, 0.5440], n)
         deviation = np.exp(np.polyval([-0.0020322, 0.062767, -0.77857, 1.3822], n))
     else:
-        statistic = beyond
+        statistic = log_unexplained
         log = np.log(n)
         mean = np.polyval([0.0038915, -0.083751, -0.31082, -1.5861], log)
         deviation = np.exp(np.polyval([0.0030302, -0.082676, -0.4803], log))

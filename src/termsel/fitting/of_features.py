@@ -22,16 +22,17 @@ def control_of(features: FeatureSet) -> FeatureSet:
     Raises TermselError if there are none.
     """
     points = features.points
-    taken = np.isin(np.array(points.roles, dtype=object), AS_CONTROL)
-    if not taken.any() and not len(features.lines):
-        others = ", ".join(sorted(set(points.roles)))
+    is_control = np.isin(np.array(points.roles, dtype=object), AS_CONTROL)
+    if not is_control.any() and not len(features.lines):
+        other_roles = ", ".join(sorted(set(points.roles)))
         raise TermselError(
-            f"all {len(points)} points have other roles than control: {others}" if others
+            f"all {len(points)} points have other roles than control: {other_roles}" if other_roles
             else "there are no control features",
             hint="Give points the role control or none; a fit takes these and all lines.")
-    if taken.all():
+    if is_control.all():
         return features
-    return features.take(np.concatenate([taken, np.ones(len(features) - len(points), dtype=bool)]))
+    return features.take(
+        np.concatenate([is_control, np.ones(len(features) - len(points), dtype=bool)]))
 
 
 @one_blas_thread

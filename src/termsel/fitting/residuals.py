@@ -77,16 +77,22 @@ class Residuals(tuple[Residual, ...], Framed):
         return self.ground
 
     def _columns(self) -> dict[str, list[Any]]:
-        return {field.name: [getattr(r, field.name) for r in self] for field in fields(Residual)}
+        columns: dict[str, list[Any]] = {}
+        for member in fields(Residual):
+            columns[member.name] = [getattr(residual, member.name) for residual in self]
+        return columns
 
     @property
     def __geo_interface__(self) -> dict[str, Any]:
         """The residuals as a GeoJSON feature collection, in the CRS of the ground coordinates."""
-        return {"type": "FeatureCollection", "features": [
-            {"type": "Feature", "id": i, "properties": asdict(residual),
-             "geometry": {"type": "Point", "coordinates": [
-                 value for value in (residual.x, residual.y, residual.z) if value == value]}}
-            for i, residual in enumerate(self)]}
+        features = []
+        for i, residual in enumerate(self):
+            coordinates = [residual.x, residual.y]
+            if not np.isnan(residual.z):  # GeoJSON has no NaN: an unknown height is left out
+                coordinates.append(residual.z)
+            features.append({"type": "Feature", "id": i, "properties": asdict(residual),
+                             "geometry": {"type": "Point", "coordinates": coordinates}})
+        return {"type": "FeatureCollection", "features": features}
 
 
 def control_residuals(control: FeatureSet, used: Iterable[bool], errors: FloatArray,
@@ -110,30 +116,31 @@ def _of_control(control: FeatureSet, used: tuple[bool, ...], errors: FloatArray,
     points = control.points
     lines = control.lines
     yield from _rows(points.ids, errors, points.ground, "control", used[:len(points)])
-    piece = _pieces(lines)
-    for i in range(piece.max(initial=-1) + 1):
-        which = piece == i
-        features = len(points) + lines.feature[which]
+    # First all first pieces of lines, then all second ones: a line of two pieces has 4 vertices.
+    piece_numbers = _piece_numbers(lines)
+    for number in range(piece_numbers.max(initial=-1) + 1):
+        of_number = piece_numbers == number
+        features = len(points) + lines.feature[of_number]
         for vertex in (0, 1):
-            yield from _rows(select(lines.ids, which), line_errors[which, vertex],
-                             lines.ground[which, vertex], "control",
-                             tuple(used[f] for f in features), f"vertex {2 * i + vertex + 1}")
+            yield from _rows(select(lines.ids, of_number), line_errors[of_number, vertex],
+                             lines.ground[of_number, vertex], "control",
+                             tuple(used[f] for f in features), f"vertex {2 * number + vertex + 1}")
 
 
 def _rows(ids: tuple[str, ...], errors: FloatArray, ground: FloatArray, role: str,
           used: Iterable[bool], kind: str = "point") -> Iterator[Residual]:
-    for name, on, error, place in zip(ids, used, errors.tolist(), ground.tolist(), strict=True):
-        yield Residual(name, kind, role, on, *error, *place)
+    for name, on, error, position in zip(ids, used, errors.tolist(), ground.tolist(), strict=True):
+        yield Residual(name, kind, role, on, *error, *position)
 
 
-def _pieces(lines: Lines) -> IntArray:
+def _piece_numbers(lines: Lines) -> IntArray:
     """Return which piece of its feature each line is, counted from 0."""
-    seen: Counter[str] = Counter()
-    piece = np.empty(len(lines), dtype=np.intp)
+    count_by_id: Counter[str] = Counter()
+    numbers = np.empty(len(lines), dtype=np.intp)
     for i, name in enumerate(lines.ids):
-        piece[i] = seen[name]
-        seen[name] += 1
-    return piece
+        numbers[i] = count_by_id[name]
+        count_by_id[name] += 1
+    return numbers
 
 
 @dataclass(frozen=True)

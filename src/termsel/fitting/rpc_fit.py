@@ -30,11 +30,12 @@ EXACT = 1e-6
 GOOD = 0.05
 """Largest loss [px] at which the selected terms are kept rather than all."""
 
-_GRID = 21  # places along either side of the image
-_LEVELS = 7  # heights
+_GRID_SIDE = 21  # places along either side of the image
+_N_LEVELS = 7  # heights
 _RIDGES = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # weights that hold denominators, of equations in scale
-_WIDER, _TRIED = 1.1, 5000  # box in which denominators are looked at, and places there
-_LEAST_DENOMINATOR = 0.05  # of a denominator, which is 1 in the middle
+_POLE_BOX = 1.1  # half side of the box in which denominators are looked at, by that of the ground
+_N_POLE_PLACES = 5000  # drawn in it
+_MIN_DENOMINATOR = 0.05  # of a denominator, which is 1 in the middle
 
 
 @dataclass(frozen=True)
@@ -44,15 +45,15 @@ class RpcFit:
     `how` is "exact" if it was taken over as it is, "its own" if the model knows it; else the terms
     it was refitted with: "the selected", "all 78", "all 78 (small denominators)" or "all 40
     polynomial". Greatest and root mean square distance from the fitted model [px] are over the
-    image and the heights, between the places the RPC was fitted to. `part` says which part of an
-    oblique image the RPC does not follow.
+    image and the heights, between the places the RPC was fitted to. `excluded_part` says which part
+    of an oblique image the RPC does not follow.
     """
 
     rpc: Rpc
     how: str
     worst: float
     rms: float
-    part: str = ""
+    excluded_part: str = ""
 
 
 def rpc_of(fitted: Fit, heights: tuple[float, float] | None = None) -> RpcFit:
@@ -104,7 +105,7 @@ def rpc_of(fitted: Fit, heights: tuple[float, float] | None = None) -> RpcFit:
     if rpc is None and normalise(fitted.control.fit_crs or fitted.control.crs) in WGS84:
         rpc = taken_over(fitted)
     if rpc is not None:
-        control_ground, expected = _seen(fitted, heights)
+        control_ground, expected = _places_in_image(fitted, heights)
         if declared is not None and not len(control_ground):
             control_ground = fitted.control.ground_vertices()
             expected = fitted.project(control_ground)
@@ -112,10 +113,10 @@ def rpc_of(fitted: Fit, heights: tuple[float, float] | None = None) -> RpcFit:
         if worst <= (EXACT if declared is None else GOOD):
             return RpcFit(rpc, "exact" if worst <= EXACT else "its own", worst, rms, excluded_part)
     low, high = heights or _heights(fitted)
-    image, ground = _grid(fitted, convert, _GRID, np.linspace(low, high, _LEVELS))
+    image, ground = _grid(fitted, convert, _GRID_SIDE, np.linspace(low, high, _N_LEVELS))
     # One place and one level fewer, so that the check lies between the places of the fit.
-    between, ground_between = _grid(fitted, convert, _GRID - 1,
-                                    np.linspace(low, high, _LEVELS - 1))
+    between, ground_between = _grid(fitted, convert, _GRID_SIDE - 1,
+                                    np.linspace(low, high, _N_LEVELS - 1))
     candidates = []
     for how, terms, ridge in _term_sets(fitted):
         rpc = _refitted(image, ground, terms, ridge)
@@ -191,13 +192,14 @@ def _heights(fitted: Fit) -> tuple[float, float]:
     """Return the least and the largest height of the control, and of what is known."""
     heights = fitted.control.ground_vertices()[:, 2]
     heights = heights[np.isfinite(heights)]
-    known = fitted.model.known_image()
-    if known is not None:
-        heights = np.concatenate([heights, known.area[:, 2]])
+    known_image = fitted.model.known_image()
+    if known_image is not None:
+        heights = np.concatenate([heights, known_image.area[:, 2]])
     return (float(heights.min()), float(heights.max())) if heights.size else (0.0, 0.0)
 
 
-def _seen(fitted: Fit, heights: tuple[float, float] | None) -> tuple[FloatArray, FloatArray]:
+def _places_in_image(fitted: Fit,
+                     heights: tuple[float, float] | None) -> tuple[FloatArray, FloatArray]:
     """Return places all over the ground of the control that lie in the image, and where."""
     # A fixed seed: the same fit has the same RPC.
     share = np.random.default_rng(0).uniform(-1.0, 1.0, (1000, 3))
@@ -245,11 +247,11 @@ def _refitted(image: FloatArray, ground: FloatArray, terms: BoolArray, ridge: fl
 
 def _has_pole(rpc: Rpc, ground: FloatArray) -> bool:
     """Return whether a denominator comes near zero in a box wider than that of some ground."""
-    share = np.random.default_rng(0).uniform(-_WIDER, _WIDER, (_TRIED, 3))
+    share = np.random.default_rng(0).uniform(-_POLE_BOX, _POLE_BOX, (_N_POLE_PLACES, 3))
     low = ground.min(axis=0)
     high = ground.max(axis=0)
     below = rpc.denominators((low + high) / 2.0 + share * (high - low) / 2.0)
-    return bool((below < _LEAST_DENOMINATOR).any())
+    return bool((below < _MIN_DENOMINATOR).any())
 
 
 def _loss(rpc: Rpc, ground: FloatArray, image: FloatArray) -> tuple[float, float]:

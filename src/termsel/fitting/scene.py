@@ -12,33 +12,40 @@ INSET = 0.02
 """Part of the image's sides that a grid leaves out, where nothing can be measured."""
 
 
-def scene_grid(fitted: Fit, side: int, neighbours: int = 1,
+def scene_grid(fitted: Fit, across: int, neighbours: int = 1,
                box: tuple[float, float, float, float] | None = None,
                ) -> tuple[FloatArray, FloatArray]:
-    """Return a grid of `side` by `side` positions over the image, and what is seen there.
+    """Return a grid of `across` by `across` positions over the image, and what is seen there.
 
-    Line and sample [px] (side * side, 2), line by line; and ground in the CRS of the control (side
-    * side, 3), NaN where the fit sees nothing. A position has the mean height of the nearest
+    Line and sample [px] (across^2, 2), line by line; and ground in the CRS of the control
+    (across^2, 3), NaN where the fit sees nothing. A position has the mean height of the nearest
     control vertices (`neighbours`), weighted by inverse squares of their distances. The box is
     first line, first sample, last line and last sample [px]; by default that of `Fit.image_box`.
     """
     from scipy.spatial import cKDTree
 
     if box is None:
-        (top, left), (bottom, right) = fitted.image_box()
+        (first_line, first_sample), (last_line, last_sample) = fitted.image_box()
     else:
-        top, left, bottom, right = box
-    lines, samples = (np.linspace(low + INSET * (high - low), high - INSET * (high - low), side)
-                      for low, high in ((top, bottom), (left, right)))
+        first_line, first_sample, last_line, last_sample = box
+    lines = _inner_steps(first_line, last_line, across)
+    samples = _inner_steps(first_sample, last_sample, across)
     image = np.stack(np.meshgrid(lines, samples, indexing="ij"), axis=-1).reshape(-1, 2)
     ground = fitted.control.ground_vertices()
-    near = min(neighbours, len(ground))
-    distance, nearest = cKDTree(fitted.project(ground)).query(image, k=[*range(1, near + 1)])
+    count = min(neighbours, len(ground))
+    # Weights 1 / d^2, of distances of at least a pixel.
+    distance, nearest = cKDTree(fitted.project(ground)).query(image, k=[*range(1, count + 1)])
     weights = 1.0 / np.maximum(distance, 1.0) ** 2
     heights = (weights * ground[nearest, 2]).sum(axis=1) / weights.sum(axis=1)
     if not fitted.model.uses_height:
         heights = np.nan_to_num(heights)
     return image, fitted.locate(image, heights)
+
+
+def _inner_steps(low: float, high: float, count: int) -> FloatArray:
+    """Return equal steps over a range without its margins (INSET)."""
+    margin = INSET * (high - low)
+    return np.linspace(low + margin, high - margin, count)
 
 
 def errors_on_ground(fitted: Fit, residuals: Residuals) -> FloatArray:
@@ -49,5 +56,5 @@ def errors_on_ground(fitted: Fit, residuals: Residuals) -> FloatArray:
     """
     ground = residuals.ground
     errors = np.array([(r.line, r.sample) for r in residuals]).reshape(-1, 2)
-    seen = fitted.locate(fitted.project(ground) + errors, ground[:, 2])
-    return np.asarray((seen - ground)[:, :2])
+    located = fitted.locate(fitted.project(ground) + errors, ground[:, 2])
+    return np.asarray((located - ground)[:, :2])

@@ -14,7 +14,7 @@ from termsel.data.locate import Surface
 from termsel.fitting.fit import Fit
 
 SKY = "above the horizon"
-FAR = f"{SKY} or much farther away than any control"
+FAR_OR_SKY = f"{SKY} or much farther away than any control"
 NEAR_OR_FAR = "much nearer or farther away than any control"
 
 _ACROSS = 41  # places along either side of the image by which parts of it are told
@@ -22,10 +22,10 @@ _ACROSS = 41  # places along either side of the image by which parts of it are t
 
 def image_places(fitted: Fit, across: int = _ACROSS) -> FloatArray:
     """Return lines and samples of a grid over the image, its corners included, (across^2, 2)."""
-    (top, left), (bottom, right) = fitted.image_box()
-    return np.stack(np.meshgrid(np.linspace(top, bottom, across),
-                                np.linspace(left, right, across), indexing="ij"),
-                    axis=-1).reshape(-1, 2)
+    (first_line, first_sample), (last_line, last_sample) = fitted.image_box()
+    lines = np.linspace(first_line, last_line, across)
+    samples = np.linspace(first_sample, last_sample, across)
+    return np.stack(np.meshgrid(lines, samples, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
 def middle_height(fitted: Fit) -> float:
@@ -52,7 +52,7 @@ def sky_of(fitted: Fit, image: FloatArray) -> BoolArray:
     return above
 
 
-def refuse_sky(fitted: Fit, what: str) -> None:
+def refuse_sky(fitted: Fit, product: str) -> None:
     """Refuse to write what gives all of the image a place on the ground, if the sky is in it.
 
     Raises
@@ -62,7 +62,7 @@ def refuse_sky(fitted: Fit, what: str) -> None:
     sky = sky_said(fitted)
     if sky:
         raise TermselError(
-            f"{sky}, and {what} would give it ground",
+            f"{sky}, and {product} would give it ground",
             hint="Rectify the image, or export it as geolocation-vrt: both leave the sky empty. "
                  "Or crop the image below the horizon, and measure it there.")
 
@@ -71,7 +71,7 @@ def why_not_shown(fitted: Fit) -> str:
     """Return why a part of the image of a view has no ground; "" where control calls for none."""
     if fitted.view is None:
         return ""
-    return FAR if fitted.above_horizon(image_places(fitted, 2)).any() else NEAR_OR_FAR
+    return FAR_OR_SKY if fitted.above_horizon(image_places(fitted, 2)).any() else NEAR_OR_FAR
 
 
 def sky_said(fitted: Fit) -> str:

@@ -28,10 +28,10 @@ from termsel.data.features import BoolArray, FeatureSet, FloatArray
 from termsel.data.monomials import graded_exponents, monomials
 from termsel.models.base import SensorModel
 
-DEGREE = 3
+BELIEF_DEGREE = 3
 """Degree of the polynomial that the truth is believed to be; that of the model, if higher."""
 
-STEP = 1e-6
+COEFFICIENT_STEP = 1e-6
 """Change of a coefficient, in scaled coordinates, by which a prediction is differentiated."""
 
 
@@ -60,27 +60,29 @@ def spread_of(model: SensorModel, control: FeatureSet, terms: BoolArray, adjustm
     All is scaled: the prepared model, the features in use, ground (m, 3) and the image that the fit
     predicts there (m, 2). `least_squares` says whether the coefficients are its own.
     """
-    own = None if len(control.lines) else model.interpolation(control)
-    if own is not None:
-        return Spread(*own.spread(ground))
-    seen = sees_heights(lambda places: model.project(adjustment.coefficients, places), ground)
-    believed = _Belief.of(model, control, heights=seen)
+    interpolation = None if len(control.lines) else model.interpolation(control)
+    if interpolation is not None:
+        return Spread(*interpolation.spread(ground))
+    with_heights = sees_heights(lambda positions: model.project(adjustment.coefficients, positions),
+                                ground)
+    believed = _Belief.of(model, control, heights=with_heights)
     if believed is None:
-        return _propagated(model, control, terms, adjustment, ground)[0] if least_squares else \
-            _unknown(len(ground))
+        if not least_squares:
+            return _unknown(len(ground))
+        return _propagated(model, control, terms, adjustment, ground)[0]
     if least_squares and model.polynomial_degree is None:
         propagated, squares = _propagated(model, control, terms, adjustment, ground)
-        more = squares - believed.squares()
+        excess = squares - believed.squares()
         # Within a standard error they predict alike, and the model knows more of what is beyond.
-        if np.isfinite(more).all() and more.mean() <= more.std() / len(more)**0.5:
+        if np.isfinite(excess).all() and excess.mean() <= excess.std() / len(excess)**0.5:
             return propagated
     return believed.spread(ground, image)
 
 
 def sees_heights(project: Callable[[FloatArray], FloatArray], ground: FloatArray) -> bool:
     """Return whether heights of places (m, 3) make a difference to where they are projected."""
-    some = ground[:3]
-    return bool((project(some) != project(some + np.array([0.0, 0.0, 1.0]))).any())
+    sample = ground[:3]
+    return bool((project(sample) != project(sample + np.array([0.0, 0.0, 1.0]))).any())
 
 
 def believed_spread(model: SensorModel, control: FeatureSet, ground: FloatArray,
@@ -101,25 +103,27 @@ def shared_variance(model: SensorModel, control: FeatureSet) -> float | None:
         return None
     points = control.points
     local = model.interpolation(control)
-    left_out = (local if isinstance(local, GaussianProcess) else believed.found).held_out
+    held_out = (local if isinstance(local, GaussianProcess) else believed.posterior).held_out
     weights = weights_of(points)
-    # What places have in common, those of the control points, the posterior sees.
+    # The sum of squares of normal errors with the covariance C has the mean tr C and the variance
+    # 2 tr C^2. What places have in common, those of the control points, the posterior sees.
     factors = believed.spread(points.ground, points.image).factors
     assert factors is not None
     # A point that is left out is less certain, and about as much alike others.
-    grown = np.sqrt((left_out.spread - 1.0) / weights**2) \
+    enlargement = np.sqrt((held_out.spread - 1.0) / weights**2) \
         / np.maximum(np.linalg.norm(factors, axis=2), np.finfo(float).tiny)
-    along = (factors * grown[..., None]).reshape(-1, factors.shape[2])
+    enlarged = (factors * enlargement[..., None]).reshape(-1, factors.shape[2])
+    trace_of_square = ((enlarged.T @ enlarged) ** 2).sum()
+    trace = (held_out.spread / weights**2).sum()
     # To this comes how much the mean squares of its solutions differ.
-    return 2 * float(((along.T @ along) ** 2).sum()
-                     / (left_out.spread / weights**2).sum() ** 2) + believed.contest(weights)
+    return 2 * float(trace_of_square / trace**2) + believed.contest(weights)
 
 
 @dataclass(frozen=True, eq=False)
 class _Belief:
     """A regularised polynomial of the control points, and where it can be looked up."""
 
-    found: Posterior
+    posterior: Posterior
     degree: int
     variables: int
 
@@ -132,35 +136,40 @@ class _Belief:
         """
         if len(control.lines):
             return None
-        degree = max(DEGREE, model.polynomial_degree or 0)
+        degree = max(BELIEF_DEGREE, model.polynomial_degree or 0)
         heights = model.uses_height if heights is None else heights
         points = control.points
         variables = 3 if heights else 2
-        found = polynomial_posterior(points.ground, points.image,
-                                     graded_exponents(degree, variables),
-                                     None if points.sigma is None else weights_of(points))
-        return None if found is None else cls(found, degree, variables)
+        posterior = polynomial_posterior(points.ground, points.image,
+                                         graded_exponents(degree, variables),
+                                         None if points.sigma is None else weights_of(points))
+        return None if posterior is None else cls(posterior, degree, variables)
 
     def spread(self, ground: FloatArray, image: FloatArray) -> Spread:
         """Return the mean square errors of predictions at places."""
         columns = _columns(ground, self.degree, self.variables)
-        there = predict_positions(self.found, columns[:, :self.variables + 1],
-                                  columns[:, self.variables + 1:])
-        return Spread(there.variance + (image - there.image) ** 2,
-                      np.full(2, there.noise), there.factors)
+        predicted = predict_positions(self.posterior, columns[:, :self.variables + 1],
+                                      columns[:, self.variables + 1:])
+        return Spread(predicted.variance + (image - predicted.image) ** 2,
+                      np.full(2, predicted.noise), predicted.factors)
 
     def contest(self, weights: FloatArray) -> float:
         """Return the variance, over the solutions, of the logarithm of their mean square error."""
-        found = self.found
-        each = sum((1.0 / side.redundancies / w ** 2).sum(axis=1)[side.solution_of_cell]
-                   for some in found.batches
-                   for side, w in zip(found.errors_of(some), weights[some].T, strict=True))
-        logarithm = np.log(found.square * each)  # up to what all solutions share
-        return float(found.cells.share @ (logarithm - found.cells.share @ logarithm) ** 2)
+        posterior = self.posterior
+        # Of each cell: the variances of held-out points by the noise, of line and sample, summed.
+        sums = np.zeros(len(posterior.cells.share))
+        for batch in posterior.batches:
+            axes = posterior.errors_of(batch)
+            for axis, axis_weights in zip(axes, weights[batch].T, strict=True):
+                sums = sums + (1.0 / axis.redundancies / axis_weights**2).sum(axis=1)[
+                    axis.solution_of_cell]
+        logarithm = np.log(posterior.square * sums)  # up to what all solutions share
+        share = posterior.cells.share
+        return float(share @ (logarithm - share @ logarithm) ** 2)
 
     def squares(self) -> FloatArray:
         """Return the squared errors of the points (n,), each by the others."""
-        return np.asarray((self.found.held_out.errors**2).sum(axis=1))
+        return np.asarray((self.posterior.held_out.errors**2).sum(axis=1))
 
 
 def _columns(ground: FloatArray, degree: int, variables: int) -> FloatArray:
@@ -182,17 +191,21 @@ def _propagated(model: SensorModel, control: FeatureSet, terms: BoolArray, adjus
         return _unknown(len(ground)), np.full(len(control), np.inf)
     x = adjustment.coefficients
     equations = model.linearised(control, x) or model.equations(control)
-    held, right = equations.take(np.ones(len(equations.b), dtype=bool), terms).with_prior()
-    q, r = np.linalg.qr(held)
-    errors = (right - held @ x[terms])[:len(equations.b)]
-    left = np.maximum(1.0 - (q[:len(errors)] ** 2).sum(axis=1), np.finfo(float).eps)
-    steps = STEP * np.maximum(1.0, np.abs(x[terms]))
+    columns, right = equations.take(np.ones(len(equations.b), dtype=bool), terms).with_prior()
+    q, r = np.linalg.qr(columns)
+    errors = (right - columns @ x[terms])[:len(equations.b)]
+    redundancies = np.maximum(1.0 - (q[:len(errors)] ** 2).sum(axis=1), np.finfo(float).eps)
+    # Central differences of the prediction by each coefficient.
+    steps = COEFFICIENT_STEP * np.maximum(1.0, np.abs(x[terms]))
     moved = np.repeat(x[None], len(steps), axis=0)
     moved[:, terms] += np.diag(steps)
-    back = 2 * x - moved
-    slopes = (model.project(moved, ground) - model.project(back, ground)) \
+    moved_back = 2 * x - moved
+    slopes = (model.project(moved, ground) - model.project(moved_back, ground)) \
         / (2 * steps[:, None, None])                                           # (k, m, 2)
-    along = np.linalg.solve(r.T, slopes.reshape(len(steps), -1))
-    factors = adjustment.sigma0 * along.T.reshape(len(ground), 2, len(steps))
-    return Spread((factors**2).sum(axis=2), np.full(2, adjustment.sigma0**2), factors), \
-        np.bincount(equations.feature, (errors / left) ** 2, len(control)).astype(np.float64)
+    # The covariance of coefficients is sigma0^2 R^-1 R^-T: factors are sigma0 slopes' R^-1.
+    whitened = np.linalg.solve(r.T, slopes.reshape(len(steps), -1))
+    factors = adjustment.sigma0 * whitened.T.reshape(len(ground), 2, len(steps))
+    # A row held out has the error e / (1 - h); those of a feature are added up.
+    held_out_squares = np.bincount(equations.feature, (errors / redundancies) ** 2, len(control))
+    return (Spread((factors**2).sum(axis=2), np.full(2, adjustment.sigma0**2), factors),
+            held_out_squares.astype(np.float64))

@@ -33,12 +33,12 @@ class Plan:
 
     The columns of `values`, shape (n, 6), are line and sample [px], x, y and z, and the root mean
     square uncertainty of a position over the scene once the place is measured, and those before it
-    [px]; it is `now` before [px].
+    [px]; it is `sigma_before` before [px].
     """
 
     ids: tuple[str, ...]
     values: FloatArray
-    now: float
+    sigma_before: float
     crs: str
 
     def to_csv(self) -> str:
@@ -92,4 +92,4 @@ def plan(result: Result, count: int, candidates: Path | None = None) -> Plan:
         best_positions[:, 2] = np.nan
     return Plan(tuple(ids[i] for i in numbers[ranking.order]), np.column_stack(
         [fitted.project(best_positions), best_positions, np.hypot(ranking.sigma, shared)]),
-        float(np.hypot(ranking.now, shared)), fitted.control.crs)
+        float(np.hypot(ranking.sigma_before, shared)), fitted.control.crs)

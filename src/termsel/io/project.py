@@ -14,7 +14,7 @@ from termsel.data.coordinates.crs import is_geographic, normalise, with_stated_h
 from termsel.data.coordinates.longitudes import nearest
 from termsel.data.features import BoolArray, FloatArray, select
 from termsel.data.tables.columns import COORDINATES
-from termsel.fitting.extrapolation import FAR, outside
+from termsel.fitting.extrapolation import FAR_OUTSIDE, outside
 from termsel.formats.base import read_once
 from termsel.formats.heights import say_difference, surface_of
 from termsel.formats.readers.csv_tables import table_text
@@ -107,7 +107,7 @@ def project_table(
                        np.isfinite(ground[:, :2]).all(axis=1) & result.exported.unseen(ground))
     return text, list(_warnings(
         select(ids, missed & ~hidden), select(ids, hidden),
-        select(ids, ~missed & (distances > FAR)), encloses=encloses, inverse=inverse))
+        select(ids, ~missed & (distances > FAR_OUTSIDE)), encloses=encloses, inverse=inverse))
 
 
 def _warnings(missed: Sequence[str], hidden: Sequence[str], far: Sequence[str], *, encloses: bool,
@@ -130,7 +130,7 @@ def _warnings(missed: Sequence[str], hidden: Sequence[str], far: Sequence[str], 
 
 def _control(result: Result) -> FloatArray:
     """Return the ground coordinates of what a result was fitted to."""
-    original = result.exported.made or result.exported
+    original = result.exported.original or result.exported
     return original.control.take(original.used).ground_vertices()
 
 

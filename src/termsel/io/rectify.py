@@ -224,7 +224,7 @@ def _rpc(result: Result) -> RpcFit | None:
         log.info("%s.", error.what)
         return None
     # A map is a box, and shows ground beyond the part of an oblique image that the RPC follows.
-    return rpc_fit if rpc_fit.worst <= GOOD and not rpc_fit.part else None
+    return rpc_fit if rpc_fit.worst <= GOOD and not rpc_fit.excluded_part else None
 
 
 def _say(result: Result, grid: MapGrid, crs_note: str, share: float,

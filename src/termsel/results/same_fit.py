@@ -29,12 +29,12 @@ from termsel.models.poles import guard_points, pole_margin, pole_violation
 def fit_record(fitted: Fit) -> FitRecord:
     """Return how the coefficients of a fit were found."""
     # Held-out errors are those of the features it was made with, twins merged.
-    original = fitted.made or fitted
+    original = fitted.original or fitted
     errors = None if original.stored_held_out is None else original.stored_held_out.errors
     held_out = None if errors is None else errors.tolist()
     return FitRecord(original.estimator.name, original.estimator.options,
                      None if original.trace is None else finite_or_none(original.trace), held_out,
-                     None if fitted.made is None else original.control.ids)
+                     None if fitted.original is None else original.control.ids)
 
 
 def adjustment_figures(fitted: Fit, orientation_spread: float | None = None) -> AdjustmentFigures:

@@ -60,8 +60,8 @@ def declaration(subject: Subject) -> None:
     require(candidate.title.split(" ", 1)[0] in ("a", "an", "the"),
             f"its title is {candidate.title!r}; begin it with an article, as in "
             "\"a cubic polynomial\"")
-    require(isinstance(candidate.most, numbers.Real) and candidate.most > 0,
-            f"most is {candidate.most!r}; expected a number of features above 0")
+    require(isinstance(candidate.max_features, numbers.Real) and candidate.max_features > 0,
+            f"max_features is {candidate.max_features!r}; expected a number of features above 0")
     require(candidate.name not in (*candidate.contains, *candidate.needs),
             "it contains or needs itself")
 

@@ -233,12 +233,13 @@ def _next_places(result: Result) -> Answer:
     rows = [{"line": line, "sample": sample, "ground": [x, y, None if z != z else z],
              "uncertainty": left}
             for line, sample, x, y, z, left in places.values.tolist()]
+    before = places.sigma_before
     after = rows[0]["uncertainty"]
-    gain = 1.0 - after / places.now if places.now else 0.0
-    text = (f"One more point takes the mean uncertainty of the model from {places.now:.3g} to "
+    gain = 1.0 - after / before if before else 0.0
+    text = (f"One more point takes the mean uncertainty of the model from {before:.3g} to "
             f"{after:.3g} px, {NEXT} more to {rows[-1]['uncertainty']:.3g} px.")
     return {"next": rows, "enough": {"text": text, "reached": gain < ENOUGH, "gain": gain,
-                                     "now": places.now, "after": after}}
+                                     "now": before, "after": after}}
 
 
 def uncertainty(result: Result) -> Answer | None:

@@ -182,7 +182,7 @@ def sensor_of(control: FitData) -> str:
 
 SCANNER = NamedScanner("named-scanner", "the physical scanner that the points name",
                        short="physical scanner", estimator=RobustFit(), has_prior=True,
-                       from_one=True, most=MOST)
+                       from_one=True, max_features=MOST)
 
 RADAR = NamedRadar("named-radar", "the radar whose annotation the points name", short="radar",
                    estimator=ShiftFit(), has_prior=True, from_one=True)

@@ -357,7 +357,7 @@ class FewOfPhoto(Method):
 
 CANDIDATES = (
     FewOfPhoto("frame-camera", "a frame camera", short="frame camera", estimator=RobustFit(),
-               has_prior=True, most=MOST, camera=Frame),
+               has_prior=True, max_features=MOST, camera=Frame),
     FewOfPhoto("panoramic-camera", "a panoramic camera", short="panoramic camera",
-               estimator=RobustFit(), has_prior=True, most=MOST, camera=Panoramic))
+               estimator=RobustFit(), has_prior=True, max_features=MOST, camera=Panoramic))
 """Cameras of which nothing is known."""

@@ -207,7 +207,7 @@ class _Nodes:
 
         flat = not result.fit.model.uses_height
         # The raster is of the fit that is exported; how far control reaches is that of the run.
-        as_made = result.fit.made or result.fit
+        as_made = result.fit.original or result.fit
         control = as_made.control.take(as_made.used).ground_vertices()
         to_ground = _to_ground(grid.crs, result.features.crs, control)
         heights = surface if callable(surface) else lambda xy: np.full(len(xy), float(surface))
