@@ -33,33 +33,33 @@ from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray
 from termsel.data.scaling import Scaling, metres_of
 from termsel.data.view import View
 
-FOCAL, FOCAL_SPREAD = 1.8, 0.7
+EXPECTED_FOCAL, FOCAL_LOG_DEVIATION = 1.8, 0.7
 """Focal length by the half diagonal of the image, and the standard deviation of its logarithm: from
 a wide angle of 24 mm to a telephoto lens of 150 mm before film of 36 mm by 24."""
 
-MIDDLE = 0.01
+KNOWN_MIDDLE_SCALE = 0.01
 """Scale of the prior of the principal point about the middle of an image of known size, by its half
 diagonal."""
 
-SOMEWHERE = 0.3
+UNKNOWN_MIDDLE_SCALE = 0.3
 """The same about the middle of the control, by its half extent, where the size is not known."""
 
-NOISE = 0.5
+MIN_NOISE = 0.5
 """Least standard deviation of a measurement in the image [px], by which priors are weighed."""
 
-FEWEST = 4
+PINHOLE_MIN_POINTS = 4
 """Points that determine a camera, with its priors, and leave an equation."""
 
 _AZIMUTHS = np.radians(np.arange(0.0, 360.0, 22.5))
 _DEPRESSIONS = np.radians([4.0, 15.0, 30.0, 50.0, 75.0])
 _ROLLS = np.radians([0.0, 90.0, 180.0, 270.0])
 _FOCALS = (0.8, 1.6, 3.2, 6.4)
-_STARTS, _FIRST, _FURTHER = 12, 6, 3
+_N_STARTS, _FIRST_STEPS, _N_FURTHER = 12, 6, 3
 """Starts that are improved, by how many steps, and how many of them further."""
 
-_STEPS, _REFITTED = 40, 10
+_STEPS, _REFIT_STEPS = 40, 10
 _ROUNDS, _ROUNDS_IF_NORMAL = 12, 3
-_CLOSE, _STUCK = 1e-5, 1e2
+_CONVERGED_GAIN, _MAX_DAMPING = 1e-5, 1e2
 """Part of the cost by which steps have converged, and the damping beyond which none helps."""
 
 
@@ -79,20 +79,20 @@ class Cameras:
     def __len__(self) -> int:
         return len(self.focal)
 
-    def take(self, which: IntArray) -> Cameras:
+    def take(self, indices: IntArray) -> Cameras:
         """Return some of the cameras."""
-        return Cameras(self.rotation[which], self.shift[which], self.focal[which],
-                       self.middle[which])
+        return Cameras(self.rotation[indices], self.shift[indices], self.focal[indices],
+                       self.middle[indices])
 
-    def places(self, ground: FloatArray) -> FloatArray:
+    def in_camera_axes(self, ground: FloatArray) -> FloatArray:
         """Return the ground (n, 3) in the axes of the cameras, (s, n, 3)."""
         return np.asarray(ground @ self.rotation.transpose(0, 2, 1) + self.shift[:, None])
 
     def image(self, ground: FloatArray) -> FloatArray:
         """Return where the ground (n, 3) is seen, (s, n, 2); NaN behind a camera."""
-        q = self.places(ground)
-        away = np.where(q[..., 2:] > 0.0, q[..., 2:], np.nan)
-        return np.asarray(self.middle[:, None] + self.focal[:, None, None] * q[..., :2] / away)
+        q = self.in_camera_axes(ground)
+        depth = np.where(q[..., 2:] > 0.0, q[..., 2:], np.nan)
+        return np.asarray(self.middle[:, None] + self.focal[:, None, None] * q[..., :2] / depth)
 
     def slopes(self, ground: FloatArray) -> FloatArray:
         """Return derivatives of the image by 9 unknowns, (s, n, 2, 9).
@@ -100,30 +100,30 @@ class Cameras:
         These are a small turn about the axes, the shift, the logarithm of the focal length, and the
         principal point: dq = turn x q + dshift, of the part of q without the shift.
         """
-        q = self.places(ground)
+        q = self.in_camera_axes(ground)
         turned = q - self.shift[:, None]
         focal = self.focal[:, None, None]
-        seen = q[..., :2] / q[..., 2:]
+        ratios = q[..., :2] / q[..., 2:]
         # d(q1 / q3) = (dq1 - q1 / q3 dq3) / q3, likewise of q2.
         by_place = np.zeros((*q.shape[:2], 2, 3))
         by_place[..., 0, 0] = by_place[..., 1, 1] = 1.0
-        by_place[..., 2] = -seen
+        by_place[..., 2] = -ratios
         by_place *= (focal / q[..., 2:])[..., None]
         slopes = np.zeros((*q.shape[:2], 2, 9))
         # turn x v = -v x turn: the columns are -v x e.
         slopes[..., :3] = np.cross(turned[:, :, None, :], by_place)
         slopes[..., 3:6] = by_place
-        slopes[..., 6] = focal * seen
+        slopes[..., 6] = focal * ratios
         slopes[..., 0, 7] = slopes[..., 1, 8] = 1.0
         return slopes
 
     @property
-    def place(self) -> FloatArray:
+    def position(self) -> FloatArray:
         """Places of the cameras, C = -R' t, (s, 3)."""
         return np.asarray(-np.einsum("sji,sj->si", self.rotation, self.shift))
 
     @property
-    def slopes_of_place(self) -> FloatArray:
+    def slopes_of_position(self) -> FloatArray:
         """Derivatives of the places by turns and shifts, (s, 3, 6).
 
         With R turned to (1 + [turn]) R: dC = R' (turn x t) - R' dshift, and turn x t = -[t] turn.
@@ -158,7 +158,8 @@ class Measured:
     focal: float  # expected
     unit: FloatArray  # (3,): of the scaled ground, by that of `ground`
     noise: float  # least standard deviation of a measurement
-    focal_spread: float = FOCAL_SPREAD  # standard deviation of the logarithm of the focal length
+    # Standard deviation of the logarithm of the focal length.
+    focal_spread: float = FOCAL_LOG_DEVIATION
     place: FloatArray | None = None  # (3,): expected of the camera; NaN where not known
     place_spread: FloatArray | None = None  # (3,): its standard deviations
     tilt: float = np.inf  # scale of the prior of the view's sine off the vertical
@@ -170,7 +171,7 @@ class Measured:
     @cached_property
     def _key(self) -> tuple[float | bytes, ...]:
         return tuple(value.tobytes() if isinstance(value, np.ndarray) else value
-                     for value in (getattr(self, one.name) for one in fields(self)))
+                     for value in (getattr(self, member.name) for member in fields(self)))
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Measured) and self._key == other._key
@@ -184,18 +185,19 @@ class Measured:
         The middle and the tilt have Cauchy distributions, whose minus logarithm is that of 1 + d^2,
         so that the weight is 2 / (1 + d^2); of the middle it is half of that.
         """
-        away = (cameras.middle - self.middle) / self.reach
-        rest = np.column_stack([np.log(cameras.focal / self.focal) / self.focal_spread, away])
+        offsets = (cameras.middle - self.middle) / self.reach
+        residuals = np.column_stack(
+            [np.log(cameras.focal / self.focal) / self.focal_spread, offsets])
         if np.isfinite(self.tilt):
-            rest = np.column_stack([rest, cameras.rotation[:, 2, :2] / self.tilt])
+            residuals = np.column_stack([residuals, cameras.rotation[:, 2, :2] / self.tilt])
         if self.place is not None and self.place_spread is not None:
-            off = (cameras.place - self.place) / self.place_spread
-            rest = np.column_stack([rest, np.nan_to_num(off)])
-        weights = np.ones_like(rest)
-        weights[:, 1:3] = 1.0 / (1.0 + (away**2).sum(axis=1, keepdims=True))
-        tilted = rest[:, self._tilts]
+            off = (cameras.position - self.place) / self.place_spread
+            residuals = np.column_stack([residuals, np.nan_to_num(off)])
+        weights = np.ones_like(residuals)
+        weights[:, 1:3] = 1.0 / (1.0 + (offsets**2).sum(axis=1, keepdims=True))
+        tilted = residuals[:, self._tilts]
         weights[:, self._tilts] = 2.0 / (1.0 + (tilted**2).sum(axis=1, keepdims=True))
-        return rest, weights
+        return residuals, weights
 
     @property
     def _tilts(self) -> slice:
@@ -231,27 +233,27 @@ class Measured:
 
         `rows` (s, n) says which points count.
         """
-        left = (self.image - cameras.image(self.ground)) * self.weights
-        losses, _ = self.counting((left**2).sum(axis=2), sigma)
-        rest, _ = self.prior(cameras)
-        total = np.where(rows > 0.0, losses, 0.0).sum(axis=1) + rest[:, 0]**2 \
-            + 2.0 * np.log1p((rest[:, 1:3]**2).sum(axis=1)) \
-            + 2.0 * np.log1p((rest[:, self._tilts]**2).sum(axis=1)) \
-            + (rest[:, self._tilts.stop:]**2).sum(axis=1)
+        residuals = (self.image - cameras.image(self.ground)) * self.weights
+        losses, _ = self.counting((residuals**2).sum(axis=2), sigma)
+        prior_residuals, _ = self.prior(cameras)
+        total = np.where(rows > 0.0, losses, 0.0).sum(axis=1) + prior_residuals[:, 0]**2 \
+            + 2.0 * np.log1p((prior_residuals[:, 1:3]**2).sum(axis=1)) \
+            + 2.0 * np.log1p((prior_residuals[:, self._tilts]**2).sum(axis=1)) \
+            + (prior_residuals[:, self._tilts.stop:]**2).sum(axis=1)
         return np.where(np.isfinite(total), total, np.inf)
 
     def system(self, cameras: Cameras, rows: FloatArray,
                sigma: float) -> tuple[FloatArray, FloatArray]:
         """Return the design (s, 2 n + p, 9) and what is left (s, 2 n + p), by their deviations."""
         count = len(cameras)
-        left = self.image - cameras.image(self.ground)
-        _, weights = self.counting(((left * self.weights) ** 2).sum(axis=2), sigma)
+        residuals = self.image - cameras.image(self.ground)
+        _, weights = self.counting(((residuals * self.weights) ** 2).sum(axis=2), sigma)
         factor = (rows * np.sqrt(weights))[:, :, None] * self.weights / sigma
         slopes = cameras.slopes(self.ground) * factor[..., None]
-        left = left * factor
-        rest, weights = self.prior(cameras)
+        residuals = residuals * factor
+        prior_residuals, weights = self.prior(cameras)
         root = np.sqrt(weights)
-        priors = np.zeros((count, rest.shape[1], 9))
+        priors = np.zeros((count, prior_residuals.shape[1], 9))
         priors[:, 0, 6] = 1.0 / self.focal_spread
         priors[:, 1, 7] = priors[:, 2, 8] = 1.0 / self.reach
         if np.isfinite(self.tilt):
@@ -260,35 +262,37 @@ class Measured:
             priors[:, self._tilts, 1] = -cameras.rotation[:, 0, :2] / self.tilt
         if self.place is not None and self.place_spread is not None:
             priors[:, self._tilts.stop:, :6] = np.nan_to_num(
-                cameras.slopes_of_place / self.place_spread[:, None])
+                cameras.slopes_of_position / self.place_spread[:, None])
         design = np.concatenate([slopes.reshape(count, -1, 9), priors * root[..., None]], axis=1)
-        return design, np.concatenate([left.reshape(count, -1), -rest * root], axis=1)
+        return design, np.concatenate([residuals.reshape(count, -1), -prior_residuals * root],
+                                      axis=1)
 
     def descended(self, cameras: Cameras, rows: FloatArray, sigma: float,
                   steps: int = _STEPS) -> tuple[Cameras, FloatArray]:
         """Return where damped steps from some cameras end, and the costs there (s,)."""
-        now = self.costs(cameras, rows, sigma)
+        costs = self.costs(cameras, rows, sigma)
         damping = np.full(len(cameras), 1e-3)
         for _ in range(steps):
-            design, left = self.system(cameras, rows, sigma)
-            known = np.asarray(np.isfinite(left).all(axis=1))
-            design = np.where(known[:, None, None], design, 0.0)
-            left = np.where(known[:, None], left, 0.0)
+            design, residuals = self.system(cameras, rows, sigma)
+            finite = np.asarray(np.isfinite(residuals).all(axis=1))
+            design = np.where(finite[:, None, None], design, 0.0)
+            residuals = np.where(finite[:, None], residuals, 0.0)
             normal = np.einsum("sri,srj->sij", design, design)
             size = np.einsum("sii->si", normal) + np.finfo(float).tiny
-            right = np.einsum("sri,sr->si", design, left)
+            right = np.einsum("sri,sr->si", design, residuals)
             damped = normal + np.einsum("si,ij->sij", damping[:, None] * size + 1e-12, np.eye(9))
-            tried = cameras.moved(np.linalg.solve(damped, right[..., None])[..., 0])
-            after = self.costs(tried, rows, sigma)
-            better = after < now
-            gain = np.where(better, now - after, 0.0)
-            cameras = _either(better, tried, cameras)
+            stepped = cameras.moved(np.linalg.solve(damped, right[..., None])[..., 0])
+            stepped_costs = self.costs(stepped, rows, sigma)
+            better = stepped_costs < costs
+            gain = np.where(better, costs - stepped_costs, 0.0)
+            cameras = _where(better, stepped, cameras)
             damping = np.clip(np.where(better, damping / 10.0, damping * 10.0), 1e-12, 1e8)
-            finished = (gain < _CLOSE * (1.0 + after)) & (better | (damping >= _STUCK))
-            now = np.where(better, after, now)
+            finished = (gain < _CONVERGED_GAIN *
+                        (1.0 + stepped_costs)) & (better | (damping >= _MAX_DAMPING))
+            costs = np.where(better, stepped_costs, costs)
             if finished.all():
                 break
-        return cameras, now
+        return cameras, costs
 
 
 @dataclass(frozen=True, eq=False)
@@ -345,7 +349,8 @@ def pinhole_of(scaled: FeatureSet, scaling: Scaling) -> Pinhole | None:
     Heights that are not known, or all the same, are those of level ground.
     """
     measured = _measured(scaled, scaling)
-    return None if measured is None or len(measured.image) < FEWEST else camera_of(measured)
+    return None if measured is None or len(
+        measured.image) < PINHOLE_MIN_POINTS else camera_of(measured)
 
 
 def pinhole_near(camera: Pinhole, scaled: FeatureSet, scaling: Scaling) -> Pinhole | None:
@@ -367,14 +372,15 @@ def camera_of(measured: Measured) -> Pinhole | None:
 def cameras_of(measured: Measured) -> Cameras:
     """Return a few cameras that control points may call for, the best first; or none."""
     everything = np.ones((1, len(measured.image)))
-    started = _starts(measured)
-    costs = np.zeros(len(started))
-    for count, steps in ((_STARTS, _FIRST), (_FURTHER, _STEPS)):
-        started = started.take(np.arange(min(count, len(started))))
-        started, costs = measured.descended(
-            started, np.repeat(everything, len(started), axis=0), 10.0 * measured.noise, steps)
-        started = started.take(np.argsort(costs, kind="stable"))
-    return started.take(np.arange(np.isfinite(costs).sum()))
+    candidates = _starts(measured)
+    costs = np.zeros(len(candidates))
+    for count, steps in ((_N_STARTS, _FIRST_STEPS), (_N_FURTHER, _STEPS)):
+        candidates = candidates.take(np.arange(min(count, len(candidates))))
+        candidates, costs = measured.descended(candidates,
+                                               np.repeat(everything, len(candidates), axis=0),
+                                               10.0 * measured.noise, steps)
+        candidates = candidates.take(np.argsort(costs, kind="stable"))
+    return candidates.take(np.arange(np.isfinite(costs).sum()))
 
 
 def camera_next_to(measured: Measured, camera: Cameras) -> Pinhole | None:
@@ -391,18 +397,18 @@ def camera_next_to(measured: Measured, camera: Cameras) -> Pinhole | None:
     design, _ = measured.system(camera, everything, sigma)
     q = np.linalg.qr(design[0])[0]
     effective = float((q[:2 * len(measured.image)] ** 2).sum())
-    errors = _left_out(measured, camera, sigma)
+    errors = _held_out_errors(measured, camera, sigma)
     return Pinhole(camera, measured, sigma, errors, residuals, effective)
 
 
-def _left_out(measured: Measured, camera: Cameras, sigma: float) -> FloatArray:
+def _held_out_errors(measured: Measured, camera: Cameras, sigma: float) -> FloatArray:
     """Return the errors of points (n, 2) by the camera without each, found from that of all."""
     n = len(measured.image)
     rows = 1.0 - np.eye(n)
-    without, _ = measured.descended(camera.take(np.zeros(n, dtype=np.intp)), rows, sigma,
-                                    _REFITTED)
-    seen = without.image(measured.ground)[np.arange(n), np.arange(n)]
-    return np.asarray(measured.image - seen)
+    cameras, _ = measured.descended(camera.take(np.zeros(n, dtype=np.intp)), rows, sigma,
+                                    _REFIT_STEPS)
+    predicted = cameras.image(measured.ground)[np.arange(n), np.arange(n)]
+    return np.asarray(measured.image - predicted)
 
 
 def _measured(scaled: FeatureSet, scaling: Scaling) -> Measured | None:
@@ -417,13 +423,13 @@ def _measured(scaled: FeatureSet, scaling: Scaling) -> Measured | None:
     if size is None:
         middle = np.zeros(2)
         half = 1.0
-        reach = SOMEWHERE
+        reach = UNKNOWN_MIDDLE_SCALE
     else:
         middle = scaling.image((np.array(size) - 1.0) / 2.0)
         half = float(np.linalg.norm(size)) / 2.0 / scaling.image_scale
-        reach = MIDDLE * half
-    return Measured(points.ground * unit, points.image, weights, middle, reach, FOCAL * half,
-                    unit, NOISE / scaling.image_scale)
+        reach = KNOWN_MIDDLE_SCALE * half
+    return Measured(points.ground * unit, points.image, weights, middle, reach,
+                    EXPECTED_FOCAL * half, unit, MIN_NOISE / scaling.image_scale)
 
 
 def _starts(measured: Measured) -> Cameras:
@@ -432,16 +438,17 @@ def _starts(measured: Measured) -> Cameras:
     f q1 = (line - l0) q3, likewise for samples, are linear in the shift.
     """
     # A focal length that is known needs no others.
-    focals = np.array(_FOCALS) / FOCAL if measured.focal_spread == FOCAL_SPREAD else np.ones(1)
+    focals = np.array(
+        _FOCALS) / EXPECTED_FOCAL if measured.focal_spread == FOCAL_LOG_DEVIATION else np.ones(1)
     rotation = np.concatenate([_grid(mirrored=_mirrored(measured))] * len(focals))
     focal = np.repeat(focals * measured.focal, len(rotation) // len(focals))
     turned = measured.ground @ rotation.transpose(0, 2, 1)                     # (s, n, 3)
-    away = measured.image - measured.middle
+    offsets = measured.image - measured.middle
     # Of each point f t - d t3 = d v3 - f v.
-    design = np.zeros((len(focal), len(away), 2, 3))
+    design = np.zeros((len(focal), len(offsets), 2, 3))
     design[..., 0, 0] = design[..., 1, 1] = focal[:, None]
-    design[..., 2] = -away
-    right = away * turned[..., 2:] - focal[:, None, None] * turned[..., :2]
+    design[..., 2] = -offsets
+    right = offsets * turned[..., 2:] - focal[:, None, None] * turned[..., :2]
     rows = design.reshape(len(focal), -1, 3)
     normal = np.einsum("sri,srj->sij", rows, rows)
     shift = np.linalg.solve(normal + 1e-12 * np.eye(3), np.einsum(
@@ -449,7 +456,7 @@ def _starts(measured: Measured) -> Cameras:
     cameras = Cameras(rotation, shift, focal, np.tile(measured.middle, (len(focal), 1)))
     # A start may have points behind it that better ones have not.
     costs = ((measured.image - cameras.image(measured.ground)) ** 2).sum(axis=2).mean(axis=1)
-    order = np.argsort(np.where(np.isfinite(costs), costs, np.inf), kind="stable")[:_STARTS]
+    order = np.argsort(np.where(np.isfinite(costs), costs, np.inf), kind="stable")[:_N_STARTS]
     return cameras.take(order[np.isfinite(costs[order])])
 
 
@@ -463,7 +470,7 @@ def _mirrored(measured: Measured) -> bool:
 @lru_cache(maxsize=2)
 def _grid(*, mirrored: bool) -> FloatArray:
     """Return rotations of cameras that look down by some angle in all directions, (s, 3, 3)."""
-    found = []
+    rotations = []
     for azimuth in _AZIMUTHS:
         for depression in _DEPRESSIONS:
             ahead = np.array([np.sin(azimuth), np.cos(azimuth), 0.0])
@@ -473,8 +480,8 @@ def _grid(*, mirrored: bool) -> FloatArray:
             for roll in _ROLLS:
                 line = np.cos(roll) * down + np.sin(roll) * right
                 sample = np.cos(roll) * right - np.sin(roll) * down
-                found.append([line, -sample if mirrored else sample, view])
-    grid = np.array(found)
+                rotations.append([line, -sample if mirrored else sample, view])
+    grid = np.array(rotations)
     grid.setflags(write=False)
     return grid
 
@@ -483,15 +490,15 @@ def _turns(turn: FloatArray) -> FloatArray:
     """Return the rotations by vectors (s, 3), shape (s, 3, 3) (Rodrigues)."""
     angle = np.linalg.norm(turn, axis=1)[:, None, None]
     x, y, z = (turn / np.maximum(angle[:, 0], np.finfo(float).tiny)).T
-    none = np.zeros_like(x)
-    cross = np.stack([np.stack([none, -z, y], 1), np.stack([z, none, -x], 1),
-                      np.stack([-y, x, none], 1)], axis=1)
+    zero = np.zeros_like(x)
+    cross = np.stack([np.stack([zero, -z, y], 1), np.stack([z, zero, -x], 1),
+                      np.stack([-y, x, zero], 1)], axis=1)
     return np.asarray(np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross)
 
 
-def _either(which: BoolArray, one: Cameras, other: Cameras) -> Cameras:
-    """Return of each pair of cameras the one where `which`, (s,), and else the other."""
-    return Cameras(np.where(which[:, None, None], one.rotation, other.rotation),
-                   np.where(which[:, None], one.shift, other.shift),
-                   np.where(which, one.focal, other.focal),
-                   np.where(which[:, None], one.middle, other.middle))
+def _where(condition: BoolArray, first: Cameras, second: Cameras) -> Cameras:
+    """Return of each pair of cameras the one where `condition`, (s,), and else the other."""
+    return Cameras(np.where(condition[:, None, None], first.rotation, second.rotation),
+                   np.where(condition[:, None], first.shift, second.shift),
+                   np.where(condition, first.focal, second.focal),
+                   np.where(condition[:, None], first.middle, second.middle))

@@ -237,9 +237,9 @@ class KnownFrame(SensorModel):
         cameras = cameras_of(measured)
         rows = np.ones((len(cameras), 3))
         costs = measured.costs(cameras, rows, found.sigma)
-        far = np.linalg.norm(cameras.place[0])
+        far = np.linalg.norm(cameras.position[0])
         others = [i for i in range(1, len(cameras)) if costs[i] < costs[0] + ALIKE and
-                  np.linalg.norm(cameras.place[i] - cameras.place[0]) > APART * far]
+                  np.linalg.norm(cameras.position[i] - cameras.position[0]) > APART * far]
         if not others:
             return found
         raise Undetermined("two cameras see the three control points alike",
@@ -284,7 +284,7 @@ class KnownFrame(SensorModel):
     def denominators(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
         """Return distances from the camera along its view, for both axes, (..., n, 2)."""
         values = np.reshape(coefficients, (-1, len(TERMS)))
-        far = self.camera_of(values).places(self.local(ground))[..., 2]
+        far = self.camera_of(values).in_camera_axes(self.local(ground))[..., 2]
         return np.stack([far, far], axis=-1).reshape(
             *np.shape(coefficients)[:-1], len(ground), 2)
 
