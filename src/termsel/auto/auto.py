@@ -93,9 +93,10 @@ class Auto(Method):
     def __post_init__(self) -> None:
         for method in self.methods:
             if not (isinstance(method.max_features, numbers.Real) and method.max_features > 0):
+                limit = f"max_features={method.max_features!r:.40}"
                 self.faults[method.name] = TermselError(
-                    f"method {method.name!r} has max_features={method.max_features!r:.40}, which is no number of "
-                    "features", hint=HINT)
+                    f"method {method.name!r} has {limit}, which is no number of features",
+                    hint=HINT)
 
     # What it is as a method.
 

@@ -196,7 +196,8 @@ def _describe_method(entry: Entry) -> None:
             f"if it is better by {'two' if method.central else 'three'} standard errors and has "
             "the smaller RMSE",
             "contains": ", ".join(method.contains), "needs": ", ".join(method.needs),
-            "tried for": f"up to {method.max_features:g} features" if method.max_features < float("inf") else ""})
+            "tried for": (f"up to {method.max_features:g} features"
+                          if method.max_features < float("inf") else "")})
     echo(f"\nFit it alone with termsel run --method {entry.name}, in Python with "
          f"termsel.fit(features, {entry.name!r}).")
 

@@ -249,8 +249,8 @@ class View:
     @cached_property
     def _in_use(self) -> FloatArray:
         """Places of the control in use in the image, shape (n, 2)."""
-        made = self.fit.made or self.fit
-        return made.control.take(made.used).image_vertices()
+        original = self.fit.original or self.fit
+        return original.control.take(original.used).image_vertices()
 
     @cached_property
     def _by_member(self) -> list[Residuals]:
