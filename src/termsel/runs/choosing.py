@@ -347,7 +347,8 @@ def _unused_rpc(data: FitData, auto: Auto, fitted: Fit | None = None) -> str:
     if data.features.rpc is None:
         return ""
     # Methods that correct an RPC are those that one point is enough for.
-    able = [method for method in auto.methods if method.from_one and len(data) <= method.max_features]
+    able = [method for method in auto.methods
+            if method.from_one and len(data) <= method.max_features]
     reasons = list(filter(None, (auto.ask(method, "declines", data) for method in able)))
     if fitted is not None and auto.fewest(data) == 1:
         reason = (f"{method_of(fitted).title} predicts the {data.features.word} better, beyond "

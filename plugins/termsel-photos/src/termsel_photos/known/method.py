@@ -180,7 +180,8 @@ class KnownCamera(Method):
         camera = model.camera_of(fitted.adjustment.coefficients[None])
         tilt = np.degrees(np.arccos(np.clip(-camera.rotation[0, 2, 2], -1.0, 1.0)))
         scaled = fitted.scaling.features(fitted.control.take(fitted.used))
-        height = model.unit * (camera.position[0, 2] - model.local(scaled.points.ground)[:, 2].mean())
+        ground = model.local(scaled.points.ground)
+        height = model.unit * (camera.position[0, 2] - ground[:, 2].mean())
         focal = camera.focal[0] * fitted.scaling.image_scale
         return (f"The camera is known by {known.source}. It looked {tilt:.0f} deg off the vertical "
                 f"from {height:,.0f} m above the points, with a focal length of {focal:,.0f} px.")
