@@ -261,3 +261,18 @@ def test_a_fault_is_told_without_the_secret(caplog: pytest.LogCaptureFixture) ->
     handler.log_exception(KeyError, KeyError("x"), None)
     assert "KeyError" in caplog.text
     assert "HTTPServerRequest" not in caplog.text
+
+
+@pytest.mark.parametrize("name", [
+    "https://a.example/i\r\nX: y", "https://a.example; script-src *", "https://*/i", "javascript:x",
+    "https://", "file:///etc/passwd", "https://a.example 'unsafe-inline'", "https://a,b/i", "//a/b",
+    "https://u@evil.example/i", 7, None, ["https://a"]], ids=repr)
+def test_the_id_of_an_image_is_no_policy_and_no_header(name: object) -> None:
+    """The policy of the page allows pictures of the server that an IIIF image names."""
+    from termsel_app.iiif import described
+
+    text = json.dumps({"id": name, "width": 9, "height": 9}).encode()
+    with pytest.raises(TermselError, match="no description of an IIIF image"):
+        described(text, "https://a.example/info.json")
+    good = json.dumps({"id": "https://a.example:8080/i%2Fmap-1", "width": 9, "height": 8}).encode()
+    assert described(good, "").origin == "https://a.example:8080"

@@ -195,3 +195,12 @@ def test_programs_of_the_current_folder_are_not_started(
         assert installed("gdalinfo") is None
     monkeypatch.setenv("PATH", str(elsewhere))
     assert sys.platform == "win32" or installed("gdalinfo") == str(elsewhere / "gdalinfo")
+
+
+@pytest.mark.parametrize("key", [
+    "scheduler", "workers", "out", "plugins", "allow_driver", "remote"])
+def test_a_study_names_no_machines_and_no_permissions(folder: Path, key: str) -> None:
+    """A scheduler would be sent code and data, and send code back."""
+    (folder / "study.toml").write_text(f'{key} = "tcp://127.0.0.1:9"\n'
+                                       'problems = ["poly-terms"]\nsolvers = ["random"]\n')
+    assert f"unknown key of a study '{key}'" in _refused("compare", "study.toml", "--dry-run")

@@ -8,6 +8,7 @@ IIIF Image API 2.1 and 3.0, https://iiif.io/api/image/3.0/.
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Any
@@ -21,6 +22,8 @@ INFO = "/info.json"
 LARGEST = 2**20
 """Bytes of a description that are read."""
 SECONDS = 20
+_ID = re.compile(r"https?://[\w.:\[\]-]+(/[^\s;,'\"\x00-\x1f\x7f]*)?", re.ASCII)
+"""The id of an image: its server comes into the policy of the page, and so has no signs of that."""
 KEPT = ("@context", "id", "@id", "type", "protocol", "profile", "width", "height", "tiles", "sizes",
         "maxWidth", "maxHeight", "maxArea", "extraFormats", "extraQualities", "extraFeatures",
         "preferredFormats")
@@ -77,8 +80,7 @@ def described(content: bytes, address: str) -> IiifImage:
     except (ValueError, RecursionError):
         info = None
     name = None if not isinstance(info, dict) else info.get("id", info.get("@id"))
-    if not isinstance(info, dict) or not isinstance(name, str) or \
-            not name.startswith(("http://", "https://")) or any(sign in name for sign in " ;,'\""):
+    if not isinstance(info, dict) or not isinstance(name, str) or not _ID.fullmatch(name):
         raise TermselError("this is no description of an IIIF image", file=address,
                            hint="Give the address of its info.json.")
     size = (info.get("height"), info.get("width"))
