@@ -36,6 +36,7 @@ PAGES: dict[str, tuple[str, ...]] = {
     "old-maps": ("old_maps", "--processes", "2"),
     "rpc-few-points": ("rpc_few_points", "--workers", "2", "--cases", "40"),
     "blocks": ("blocks",),
+    "hyperspectral": ("hyperspectral",),
     "sentinel-1": ("sentinel", "--whole", "0.2"),
     "scanners": ("scanners", "--processes", "2", "--images", "24", "--splits", "6"),
     "coverage": ("coverage", "--processes", "2", "--kept", KEPT),

@@ -92,6 +92,20 @@ def test_metadata_that_name_an_array(convention: str, tmp_path: Path) -> None:
     require_places(features)
 
 
+def test_an_array_in_metres_keeps_its_eastings(tmp_path: Path) -> None:
+    lines, samples = np.indices((40, 50)).astype(np.float64)
+    array = np.stack([4.4e5 + 30.0 * samples, 5.2e6 - 30.0 * lines])
+    written(tmp_path / "xy.tif", array)
+    path = written(tmp_path / "scene.tif", np.zeros((1, 40, 50)), X_DATASET="xy.tif", X_BAND="1",
+                   Y_DATASET="xy.tif", Y_BAND="2", X_DATASET_RELATIVE_TO_SOURCE="YES",
+                   Y_DATASET_RELATIVE_TO_SOURCE="YES", SRS="EPSG:32633",
+                   GEOREFERENCING_CONVENTION="PIXEL_CENTER")
+    features = termsel.read(path, format="geolocation-array")
+    assert features.crs == "EPSG:32633"
+    lines, samples = features.points.image.T
+    np.testing.assert_allclose(features.points.ground[:, 0], 4.4e5 + 30.0 * samples)
+
+
 def test_a_tie_point_grid_with_its_steps(tmp_path: Path) -> None:
     lines, samples = np.indices((16, 20)) * 16.0 + 8.0
     file = written(tmp_path / "tie.tif", places(lines, samples), ("lon", "lat", "height"))

@@ -286,7 +286,8 @@ def _taken(arrays: Arrays, meshes: int, shift: float = 0.0) -> tuple[FloatArray,
     places = np.stack(np.meshgrid(*chosen, indexing="ij"), axis=-1).reshape(-1, 2)
     ground = np.concatenate(rows)
     known = np.isfinite(ground[:, 0])
-    if known.any() and np.ptp(ground[known, 0]) > 180.0:  # across the date line
+    degrees = np.abs(ground[known, 0]).max(initial=0.0) <= 360.0
+    if degrees and known.any() and np.ptp(ground[known, 0]) > 180.0:  # across the date line
         ground[:, 0] %= 360.0
     return arrays.first + places * arrays.step, ground
 
