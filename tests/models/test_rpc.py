@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from time import process_time
 
 import numpy as np
 import pytest
@@ -446,3 +447,15 @@ def test_an_rpc_in_the_tags_of_each_band_is_read(tmp_path: Path) -> None:
             raster.update_tags(band, **rpc_items(some_rpc(line)))
     assert read_rpc(path).image_offset[0] == 501.0
     assert read_rpc(f"{path}#1").image_offset[0] == 500.0
+
+
+@pytest.mark.parametrize("text", [
+    "a" + " " * 300_000 + "b", "a: [\n" + "1,\n" * 100_000, "a:\n" * 50_000, "[" * 90_000,
+    "".join(f"{' ' * i}a:\n" for i in range(600))])
+def test_hostile_text_is_refused_at_once(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "rpc.yaml"
+    path.write_text(text)
+    started = process_time()
+    with pytest.raises(TermselError):
+        read_rpc(path)
+    assert process_time() - started < 5.0

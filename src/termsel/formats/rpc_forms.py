@@ -39,7 +39,6 @@ _NAME = re.compile("({})({})(?:coeffs?|coefs?)?([0-9]*)".format(*(
     "|".join(sorted(words, key=len, reverse=True)) for words in (_COORDINATES, _NUMBERS))))
 _ERRORS = {"errbias": "ERR_BIAS", "errrand": "ERR_RAND"}
 _IS_RPC = {"LINE_NUM_COEFF", "SAMP_DEN_COEFF"}
-_YAML_LINE = re.compile(r"( *)([^\s#:][^:#]*?|\"[^\"]*\"|'[^']*')\s*:(?:\s+(.*)|\s*)$")
 
 
 def rpcs_of_tree(tree: object) -> dict[str, Items]:
@@ -85,12 +84,12 @@ def tree_of_yaml(text: str) -> dict[str, Any]:
     tree: dict[str, Any] = {}
     levels: list[tuple[int, dict[str, Any]]] = [(-1, tree)]
     for line in _whole_lines(text):
-        entry = _YAML_LINE.fullmatch(line)
-        if entry is None:
+        name, colon, text_of_value = line.partition(":")
+        key = name.strip().strip("\"'")
+        if not colon or not key or text_of_value[:1].strip():
             return {}
-        indent = len(entry[1])
-        key = entry[2].strip("\"'")
-        value = (entry[3] or "").strip()
+        indent = len(name) - len(name.lstrip(" "))
+        value = text_of_value.strip()
         while levels[-1][0] >= indent:
             levels.pop()
         parent = levels[-1][1]
@@ -118,17 +117,20 @@ def largest_difference(rpcs: Mapping[str, Rpc], name: str) -> float:
 
 def _whole_lines(text: str) -> Iterator[str]:
     """Yield the lines of YAML, those of a list in brackets as one, without comments."""
-    held = ""
+    held: list[str] = []
+    open_brackets = 0
     for line in text.splitlines():
         content = line.split(" #")[0].rstrip()
         if not content.strip() or content.lstrip().startswith(("#", "---")):
             continue
-        held = f"{held} {content.strip()}" if held else content
-        if held.count("[") <= held.count("]"):
-            yield held
-            held = ""
+        held.append(content.strip() if held else content)
+        open_brackets += content.count("[") - content.count("]")
+        if open_brackets <= 0:
+            yield " ".join(held)
+            held = []
+            open_brackets = 0
     if held:
-        yield held
+        yield " ".join(held)
 
 
 def _dictionaries(tree: object, path: tuple[str, ...],
