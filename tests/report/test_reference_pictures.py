@@ -19,9 +19,9 @@ import numpy as np
 import pytest
 
 import termsel
+from termsel.report import view
 from termsel.report.plots import KINDS, chart
 from termsel.report.theme import styled
-from termsel.results import shown
 from termsel.studies.cells.journal import CellRecord
 from termsel.studies.plan.spec import spec_of
 from termsel.studies.study import Study
@@ -33,7 +33,7 @@ pytest.importorskip("altair")
 vl_convert = pytest.importorskip("vl_convert")
 
 REFERENCES = Path(__file__).parents[1] / "pictures"
-SMALLER = ((shown, "SIGMA_SIDE", 6), (figures, "_MOST_PANELS", 2))
+SMALLER = ((view, "SIGMA_SIDE", 6), (figures, "_MOST_PANELS", 2))
 """What keeps the references small: fewer cells of the map, fewer panels."""
 TOLERANCE = 2.0
 """Pixels of the picture by which places may differ."""

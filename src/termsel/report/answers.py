@@ -202,17 +202,18 @@ def _shape(of: InImage | OnGround, unit: str, rmse: dict[str, float]) -> Iterato
     if of.mean is None:
         return
     means = dict(zip(rmse, of.mean, strict=True))
-    said = f"Mean error: {', '.join(f'{axis} {one:+.3g} {unit}' for axis, one in means.items())}."
-    far = [axis for axis, one in means.items() if abs(one) > _FAR * of.n**-0.5 * rmse[axis] > 0]
-    yield f"{said} The bias of {' and '.join(far)} is significant." if far \
-        else Detail(said)
+    figures = ", ".join(f"{axis} {mean:+.3g} {unit}" for axis, mean in means.items())
+    sentence = f"Mean error: {figures}."
+    far = [axis for axis, mean in means.items() if abs(mean) > _FAR * of.n**-0.5 * rmse[axis] > 0]
+    yield f"{sentence} The bias of {' and '.join(far)} is significant." if far \
+        else Detail(sentence)
     if of.normal:
         ground = isinstance(of, OnGround)  # nothing new, as they are those in the image
         test = "The same test on the ground" if ground else "Test of normality (Shapiro, Wilk)"
         chances = [f"{axis} {one:.2g}" for axis, one in zip(rmse, of.normal, strict=True)]
-        said = f"{test}: p of {', '.join(chances)}."
-        yield f"{said} These errors are not normal; the intervals allow for it." \
-            if min(of.normal) < _UNLIKELY and not ground else Detail(said)
+        sentence = f"{test}: p of {', '.join(chances)}."
+        yield f"{sentence} These errors are not normal; the intervals allow for it." \
+            if min(of.normal) < _UNLIKELY and not ground else Detail(sentence)
 
 
 def _prediction(predicted: Predicted, *, exported: bool = False, lattice: bool = False) -> str:

@@ -33,5 +33,6 @@ def fits_of(record: Record) -> Iterator[tuple[str, bool, int, RmseByRole]]:
     RMSE.
     """
     yield THIS, bool(record.strategy), record.selection.n_terms, record.rmse
-    for one in record.baselines:
-        yield label_of(one.name), "check" in one.fitted_to, one.n_terms, one.rmse
+    for baseline in record.baselines:
+        fitted_to_check = "check" in baseline.fitted_to
+        yield label_of(baseline.name), fitted_to_check, baseline.n_terms, baseline.rmse

@@ -28,10 +28,10 @@ def offline(chart: Any) -> Any:
     It remains an Altair chart. So does what is made of it by its methods, such as ``properties``.
     Who enables a renderer of Altair gets that one.
     """
-    shown = chart.copy(deep=False)
+    copied = chart.copy(deep=False)
     kind: Any = type(chart)
-    object.__setattr__(shown, "__class__", _offline(kind))
-    return shown
+    object.__setattr__(copied, "__class__", _offline(kind))
+    return copied
 
 
 @cache
@@ -49,16 +49,16 @@ def html_of(chart: Any) -> str:
     """Return a chart for the output of a cell."""
     global _sent
     spec = chart.to_dict()
-    shown = base64.b64encode(picture(chart, ".svg")).decode()
+    encoded = base64.b64encode(picture(chart, ".svg")).decode()
     title = spec.get("title", "")
-    said = title.get("text", "") if isinstance(title, dict) else title
+    description = title.get("text", "") if isinstance(title, dict) else title
     place = f"termsel-{uuid4().hex}"
     # Nothing in the data may end the script.
     content = drawable(json.dumps(spec, allow_nan=False)).replace("<", "\\u003c")
     scripts = "" if _sent else f"<script>{library()}</script>"
     _sent = True
-    return (f'<div id="{place}"><img alt="{escape(str(said))}" '
-            f'src="data:image/svg+xml;base64,{shown}"></div>{scripts}<script>(() => {{\n'
+    return (f'<div id="{place}"><img alt="{escape(str(description))}" '
+            f'src="data:image/svg+xml;base64,{encoded}"></div>{scripts}<script>(() => {{\n'
             f"const place = document.getElementById({json.dumps(place)});\n"
             f"if (!place || !window.{EMBED}) return;\nplace.replaceChildren();\n"
             f'window.{EMBED}(place, {content}, {{ actions: false, renderer: "svg", '

@@ -46,9 +46,9 @@ def page(document: Document) -> str:
     title = document.title
     parts = list(_blocks(document.facts, specs))
     for number, section in enumerate(document.sections, 1):
-        shown = "\n".join(_blocks(section.blocks, specs))
+        content = "\n".join(_blocks(section.blocks, specs))
         parts.append(f'<section aria-labelledby="s{number}"><h2 id="s{number}">'
-                     f"{_text(section.title)}</h2>\n{shown}\n</section>")
+                     f"{_text(section.title)}</h2>\n{content}\n</section>")
     style = _resource("page.css") + dark_style()
     script = _resource("page.js")
     drawing = library()
@@ -95,8 +95,8 @@ def _blocks(blocks: Iterable[Block], specs: dict[str, Any]) -> Iterator[str]:
         if kind is Fact:
             yield _facts([block for block in group if isinstance(block, Fact)])
             continue
-        shown = "\n".join(_block(block, specs) for block in group)
-        yield f'<div class="figures">{shown}</div>' if kind is Figure else shown
+        content = "\n".join(_block(block, specs) for block in group)
+        yield f'<div class="figures">{content}</div>' if kind is Figure else content
 
 
 def _facts(facts: Sequence[Fact]) -> str:
@@ -156,11 +156,11 @@ def _table(table: TableBlock) -> str:
         rows.append(f'<tr{key}><th scope="row">{name}</th>{picture}'
                     + "".join(f"<td{kind}>{cell}</td>" for cell, kind in zip(
                         cells, words[1:], strict=True)) + "</tr>")
-    shown = (f'<div class="scroll" tabindex="0"><table{choice}><caption>{_text(table.caption)}'
+    table_html = (f'<div class="scroll" tabindex="0"><table{choice}><caption>{_text(table.caption)}'
              f"</caption><thead><tr>{head}</tr></thead><tbody>\n" + "\n".join(rows)
              + "\n</tbody></table></div>")
-    return f"<details><summary>{_text(table.caption)}</summary>{shown}</details>" \
-        if table.folded else shown
+    return f"<details><summary>{_text(table.caption)}</summary>{table_html}</details>" \
+        if table.folded else table_html
 
 
 def _text(text: str) -> str:

@@ -84,13 +84,13 @@ def bundle(snippet: str) -> str:
         If the library vl-convert fails or ends, as for lack of memory.
     """
     try:
-        made = _helper().ask(("js", snippet, {}))
+        bundle = _helper().ask(("js", snippet, {}))
     except ProcessEndedError:
-        made = "a fault of compiled code, or out of memory"
-    if isinstance(made, str):
-        raise TermselError(f"the library vl-convert cannot make what draws charts: {made[:200]}",
+        bundle = "a fault of compiled code, or out of memory"
+    if isinstance(bundle, str):
+        raise TermselError(f"the library vl-convert cannot make what draws charts: {bundle[:200]}",
                            hint="Tables and records are complete without it.")
-    return bytes(made).decode()
+    return bytes(bundle).decode()
 
 
 def _undrawn(why: str) -> TermselError:

@@ -110,7 +110,7 @@ KINDS = {kind.name: kind for kind in (
         "empires", "Empires of the search",
         "The imperialist competitive algorithm ends when one band remains. Many bands at the end "
         "mean that the budget stopped it.", search.empires,
-        lambda view: "" if any(one.empires for one in view.record.history)
+        lambda view: "" if any(generation.empires for generation in view.record.history)
         else "its solver was not the ICA"),
     ChartKind(
         "frequency", "How often terms are selected",
@@ -188,7 +188,7 @@ def chart(view: View, name: str) -> Any:
     require_altair()
     kind = kind_of(name)
     if why := kind.missing(view):
-        there = ", ".join(one.name for one in KINDS.values() if not one.missing(view))
+        there = ", ".join(kind.name for kind in KINDS.values() if not kind.missing(view))
         raise TermselError(f"this result has no chart {name}: {why}",
                      hint=f"Charts that it has: {there}.")
     return offline(styled(kind.draw(view), kind.title, kind.caption(view)))

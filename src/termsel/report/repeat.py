@@ -22,7 +22,7 @@ def command(record: Record) -> str:
 
 def not_by_command(record: Record) -> str:
     """Return why no command repeats a run; "" if one does."""
-    made = [f"{part} {one.class_}" for part, one in record.plugins.items() if one.class_]
+    made = [f"{part} {plugin.class_}" for part, plugin in record.plugins.items() if plugin.class_]
     if made:
         return (f"No command repeats this run, as no plugin provides its {', '.join(made)}. Call "
                 "termsel.run with the same objects, seed and options.")

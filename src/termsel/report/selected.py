@@ -140,7 +140,7 @@ def _certificate(certificate: Certificate, exact: str) -> str:
 def _front(record: Record, view: View | None, picture: str) -> Iterator[Block]:
     """Yield the front, or the best so far of each size, and what is proven of these."""
     front, by_size = record.front, record.by_size
-    members: Sequence[Member | SizeRow] = front or [one for one in by_size if one.better]
+    members: Sequence[Member | SizeRow] = front or [row for row in by_size if row.better]
     if not members:
         return
     if front and view is not None:
@@ -150,7 +150,7 @@ def _front(record: Record, view: View | None, picture: str) -> Iterator[Block]:
                      search.members(view, picture), keeps_ratio=True)
     size, criterion = list(members[0].objectives)[:2]
     counts, names = sizes.counted_by(members), size.removeprefix("n_")
-    proven = {one.objectives[size]: sizes.proven(one) for one in by_size}
+    proven = {row.objectives[size]: sizes.proven(row) for row in by_size}
     yield TableBlock("Pareto front", (
         counts, *list(members[0].objectives)[1:], "selection [px]", "independent check [px]",
         *[sizes.TITLE] * bool(proven), names), [

@@ -35,8 +35,8 @@ def text_of(document: Document, *, whole: bool = True, titled: bool = True) -> s
     lines = [document.title, *_wrapped(document.subtitle)] if titled else []
     lines += _lines(_shown(document.facts, whole))
     for section in document.sections:
-        if shown := list(_shown(section.blocks, whole)):
-            lines += ["", section.title, *_lines(shown)]
+        if blocks := list(_shown(section.blocks, whole)):
+            lines += ["", section.title, *_lines(blocks)]
     # File names may have what a terminal would obey.
     return printable("\n".join(lines)) + "\n"
 
@@ -95,9 +95,9 @@ def _table(table: TableBlock) -> Iterator[str]:
     if len(table.rows) > _LONGEST_TABLE:
         yield f"{len(table.rows)} rows; result.json has all of them"
         return
-    shown = [i for i in range(len(table.columns)) if i not in table.page_only]
-    lines = list(_aligned([[row[i] for i in shown] for row in (table.columns, *table.rows)],
-                         map(table.has_words, shown)))
+    columns = [i for i in range(len(table.columns)) if i not in table.page_only]
+    lines = list(_aligned([[row[i] for i in columns] for row in (table.columns, *table.rows)],
+                         map(table.has_words, columns)))
     if table.marked is not None:
         lines = [("-> " if i == table.marked + 1 else "   ") + line
                  for i, line in enumerate(lines)]

@@ -42,7 +42,7 @@ def worst_bars(view: View) -> Any:
     end = axis_end(view)
     rows = [{**row, "end": min(row["distance"], end), "broken": row["distance"] > end,
              "label": ", ".join([f"{row['distance']:.3g} px"] * (row["distance"] > end)
-                                + [CERTAINTY[one] for one in [row["blunder"]] if one])}
+                                + [CERTAINTY[word] for word in [row["blunder"]] if word])}
             for row in view.worst[:WORST]]
     picked = alt.selection_point(name="picked", fields=["id"], empty=False)
     base = alt.Chart(chart_rows(rows)).encode(
@@ -74,10 +74,10 @@ def worst_bars(view: View) -> Any:
 
 def axis_end(view: View) -> float:
     """Return where bars of the worst residuals are broken [px]; infinite where none need be."""
-    shown = [row["distance"] for row in view.worst[:WORST]]
-    high = FLATTENED * float(np.median(shown)) if shown else 0.0
-    within = max((one for one in shown if one <= high), default=0.0)
-    return 1.3 * within if shown and max(shown) > high > 0 else float("inf")
+    distances = [row["distance"] for row in view.worst[:WORST]]
+    high = FLATTENED * float(np.median(distances)) if distances else 0.0
+    within = max((distance for distance in distances if distance <= high), default=0.0)
+    return 1.3 * within if distances and max(distances) > high > 0 else float("inf")
 
 
 def broken(view: View) -> str:
@@ -107,7 +107,7 @@ def baseline_bars(view: View) -> Any:
                 f"datum.value == '{THIS}'", alt.value("bold"), alt.value("normal")))),
         yOffset=alt.YOffset("role:N", sort=list(roles)),
         color=alt.Color("role:N", scale=colours, legend=role_legend()))
-    chosen = alt.selection_point(name="fit", fields=["fit"], empty=False)
+    selected_fit = alt.selection_point(name="fit", fields=["fit"], empty=False)
     tooltip = [alt.Tooltip("fit:N"), alt.Tooltip("role:N", title="points"),
             alt.Tooltip("rmse:Q", title="RMSE [px]", format=".3f"),
             alt.Tooltip("low:Q", format=".3f"), alt.Tooltip("high:Q", format=".3f"),
@@ -121,7 +121,8 @@ def baseline_bars(view: View) -> Any:
             x=x, shape=shape, tooltip=tooltip, fill=alt.condition(
                 "datum.note == 'fitted'", alt.value(GROUND),
                 alt.Fill("role:N", scale=colours, legend=role_legend())),
-            size=alt.condition(chosen, alt.value(150), alt.value(62))).add_params(chosen),
+            size=alt.condition(selected_fit, alt.value(150), alt.value(62)),
+        ).add_params(selected_fit),
     ).properties(width=WIDTH, height=1.55 * ROW * len(order))
 
 

@@ -70,10 +70,10 @@ def front_rows(view: View) -> list[Row]:
     """Return a row for check and independent points of each member."""
     members = view.record.front
     chosen = _recommended(view)
-    return [{"member": i, "size": one.objectives[size_of(one)], "points": points,
-             "rmse": one.rmse.by_role[points].total, "recommended": i == chosen}
-            for i, one in enumerate(members) for points in ("check", "independent")
-            if one.rmse.by_role[points].total]
+    return [{"member": i, "size": member.objectives[size_of(member)], "points": points,
+             "rmse": member.rmse.by_role[points].total, "recommended": i == chosen}
+            for i, member in enumerate(members) for points in ("check", "independent")
+            if member.rmse.by_role[points].total]
 
 
 def choice(view: View) -> Any:
@@ -93,10 +93,12 @@ def convergence(view: View) -> Any:
     history = spaced(view.record.history, MOST)
     criterion = view.record.criterion
     lines: list[Row] = [
-        {"evaluations": one.evaluations, "what": what, "value": value} for one in history
-        for what, value in (("best", one.best), ("median", one.median)) if value is not None]
-    share = [{"evaluations": one.evaluations, "infeasible": 1.0 - one.feasible}
-             for one in history]
+        {"evaluations": generation.evaluations, "what": what, "value": value}
+        for generation in history
+        for what, value in (("best", generation.best), ("median", generation.median))
+        if value is not None]
+    share = [{"evaluations": generation.evaluations, "infeasible": 1.0 - generation.feasible}
+             for generation in history]
     scale, kind = spread_scale([row["value"] for row in lines], zero=False)
     x = alt.X("evaluations:Q", axis=alt.Axis(format=",d", tickCount=6))
     colour = alt.Color("what:N", scale=alt.Scale(domain=["best", "median"],
@@ -128,11 +130,12 @@ def refined(view: View) -> str:
 def empires(view: View) -> Any:
     """Return how many countries each empire of the ICA has, as bands of the population."""
     alt = require_altair()
-    counted = [one for one in view.record.history if one.empires]
-    most = max(AREAS // max(len(one.empires) for one in counted), 2)
-    rows = [{"evaluations": one.evaluations, "empire": i + 1, "countries": countries,
-             "left": sum(map(bool, one.empires))}
-            for one in spaced(counted, most) for i, countries in enumerate(one.empires)]
+    counted = [generation for generation in view.record.history if generation.empires]
+    most = max(AREAS // max(len(generation.empires) for generation in counted), 2)
+    rows = [{"evaluations": generation.evaluations, "empire": i + 1, "countries": countries,
+             "left": sum(map(bool, generation.empires))}
+            for generation in spaced(counted, most)
+            for i, countries in enumerate(generation.empires)]
     return alt.Chart(chart_rows(rows)).mark_area(stroke=GROUND, strokeWidth=1, opacity=1).encode(
         x=alt.X("evaluations:Q", axis=alt.Axis(format=",d", tickCount=6)),
         y=alt.Y("countries:Q", stack="zero", title="countries in the population"),

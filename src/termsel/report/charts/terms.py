@@ -94,7 +94,7 @@ def frequency_rows(view: View) -> list[Row]:
     if record.stability:
         shares.update(record.stability.frequency)
     else:
-        counts = Counter(term for one in record.front for term in one.selection.terms)
+        counts = Counter(term for member in record.front for term in member.selection.terms)
         shares = {term: n / len(record.front) for term, n in counts.items()}
     return sorted(({"term": term, "share": round(share, 4), "used": term in used}
                    for term, share in shares.items() if share), key=lambda row: -row["share"])
@@ -104,7 +104,7 @@ def no_frequencies(view: View) -> str:
     """Return why a result says nothing of how often terms are selected; "" if it does."""
     if view.record.stability:
         return ""
-    members = {tuple(one.selection.terms) for one in view.record.front}
+    members = {tuple(member.selection.terms) for member in view.record.front}
     if len(members) > 1:
         return ""
     return "all members of its front have the same terms" if members else \
