@@ -97,7 +97,9 @@ MAPS = """
 The image has its own line and sample as pixels, so that maps by different ways tell how far apart
 in the image their pixels were taken from. Relief is made up, between the lowest and the highest
 point. gdalwarp takes the RPC with the DEM; QGIS takes it at its height offset, and shows the
-nearest pixel: its figure is what is beyond half a pixel.
+nearest pixel: its figure is what is beyond half a pixel. Where the RPC is exact, what is left is
+how the programs resample, and that QGIS interpolates positions, to an eighth of a pixel by GDAL's
+default. Of GRD images both stay within what the export says.
 
 | image | pixels | gdalwarp, RMSE [px] | largest | QGIS, largest | the export says: RMSE | largest |
 |---|---:|---:|---:|---:|---:|---:|
