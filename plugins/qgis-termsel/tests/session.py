@@ -112,6 +112,18 @@ def layer_of(table, crs):
     return layer
 
 
+def picture_of(dialog, path):
+    """Save a picture of a dialog in which all fields fit, with a short name of the file."""
+    given = dialog.createProcessingParameters()
+    dialog.setParameters({**given, "FILE": "gcps.csv", "OUTPUT": "result"})
+    size = dialog.size()
+    dialog.resize(1280, 900)
+    QApplication.processEvents()
+    dialog.grab().save(str(path))
+    dialog.resize(size)
+    dialog.setParameters(given)
+
+
 def drive(act, step, seconds=60):
     """Do what opens a dialog, and call a step on it again and again until it says that it is done.
 
@@ -316,7 +328,7 @@ def dock():
         if not getattr(dialog, "begun", False):
             dialog.begun = True
             dialog.setParameters({"OUTPUT": str(folder / "again")})
-            dialog.grab().save(str(folder / "dialog.png"))
+            picture_of(dialog, folder / "dialog.png")
             dialog.runButton().click()
         if dialog.results():
             seen["log"] = dialog.grab().save(str(folder / "log.png"))

@@ -112,7 +112,8 @@ def test_places_become_a_layer_or_a_point_cloud(
 
 
 @pytest.mark.parametrize(("folder", "target", "message"), [
-    ("none", "a.gpkg", "there is no block in this folder"), ("adjusted", "a.txt", "no known format"),
+    ("none", "a.gpkg", "there is no block in this folder"),
+    ("adjusted", "a.txt", "no known format"),
     ("adjusted", "no/a.gpkg", "no/a.gpkg"), ("adjusted", "adjusted", "no known format"),
     ("adjusted", "a.laz", "lazrs")])
 def test_places_that_cannot_be_written_are_refused(
