@@ -197,6 +197,7 @@ def test_one_point_of_ones_own_corrects_a_shift(given: str, tmp_path: Path) -> N
     before = np.linalg.norm(truth[1:] - unshifted, axis=1).mean()
     after = np.linalg.norm(truth[1:] - result.fit.project(place[1:]), axis=1).mean()
     assert after < 0.25 * before
+    assert "sigma_line" in result.strategy.reason
     again = termsel.read_result(tmp_path / "out").fit
     np.testing.assert_allclose(again.project(place), result.fit.project(place), atol=1e-6)
 

@@ -25,6 +25,9 @@ OF_RADAR = ("burst", "bistatic")
 CAMERAS = ("frame", "panoramic")
 """What the column says of photos, which are no scanners' images."""
 
+FEW = 2
+"""Points of a radar that do not show their own error."""
+
 FEWEST, MOST = 3, 12
 """Numbers of points for which it is: with more, those tell as much as the physics."""
 
@@ -140,8 +143,13 @@ class NamedRadar(Method):
         assert isinstance(fitted.model, Radar)
         if not fitted.effective:
             return ""  # as `settles` says it
-        return (f"The points name the annotation {fitted.model.source}, with orbit, timing and "
-                "ranges.")
+        named = (f"The points name the annotation {fitted.model.source}, with orbit, timing and "
+                 "ranges.")
+        points = fitted.control.take(fitted.used).points
+        if len(points) > FEW or points.sigma is not None:
+            return named
+        return (f"{named} So few points do not show their own error: it is taken as about half a "
+                "pixel. If you know it, give it in the columns sigma_line and sigma_sample.")
 
 
 def names_annotation(named: str) -> bool:
