@@ -56,7 +56,8 @@ def _facts(record: Record, brief: int) -> list[Fact]:
     compared = list(_compared(record))
     search = list(_search(record))
     if brief:
-        compared, search = compared[:1], search[:1]
+        compared = compared[:1]
+        search = search[:1]
     outliers = _counted_outliers(record) if brief == 2 else outlier_lines(record)
     return [*_data(record, brief), Fact(""), Fact(_model(record), "Model"),
             *_labelled("Accuracy", accuracy_lines(record)), *_labelled("Outliers", outliers),
@@ -83,10 +84,10 @@ def _data(record: Record, brief: int) -> Iterator[Fact]:
     data = record.data
     names = ", ".join(PurePath(name).name for name in data.source.split(", "))
     read = data.read or _read_by_earlier_versions(record)
-    kinds = ", ".join(counted(number, noun) for number, noun in (
+    features = ", ".join(counted(number, noun) for number, noun in (
         (read.points, "point"), (read.lines, "line")) if number)
     if read.lattice is not None:
-        kinds += f", a lattice of {read.lattice[0]} lines and {read.lattice[1]} columns"
+        features += f", a lattice of {read.lattice[0]} lines and {read.lattice[1]} columns"
     heights = ""
     if read.without_height:
         heights = " without heights" if read.without_height == read.points + read.lines else \
@@ -95,7 +96,7 @@ def _data(record: Record, brief: int) -> Iterator[Fact]:
     place = f" ({read.place})" if read.place else ""
     unit = f"; z in {read.z_unit}" if read.z_unit else ""
     origin = f"; image coordinates from {read.image_origin}" if read.image_origin else ""
-    yield Fact(f"{cut(names, _SOURCE)}: {kinds}{heights}, {crs}{place}{unit}{origin}")
+    yield Fact(f"{cut(names, _SOURCE)}: {features}{heights}, {crs}{place}{unit}{origin}")
     yield Fact(roles_of(record))
     unused = _not_used(read)
     if unused and not brief:
@@ -314,16 +315,14 @@ def _compared(record: Record) -> Iterator[str]:
 
 def _against(record: Record, rival: BaselineRow) -> Iterator[str]:
     """Yield how a rival compares, at the independent check points or else in cross-validation."""
-    own, other = _comparable(record, rival)
-    if own is None or other is None:
+    own_rmse, rival_rmse = _comparable(record, rival)
+    if own_rmse is None or rival_rmse is None:
         return
-    if record.strategy is None:
-        name, where = "automatic choice without a search", ""
-    elif _by_points(record):
-        name, where = label_of(rival.name), ""
-    else:
-        name, where = label_of(rival.name), f", this model {rounded(own)} px in leave-one-out"
-    yield f"{name} {rounded(other)} px{where}: {_verdict(record, own, other)}"
+    name = "automatic choice without a search" if record.strategy is None else label_of(rival.name)
+    # In leave-one-out the RMSE of this model is not the figure shown above.
+    in_leave_one_out = record.strategy is not None and not _by_points(record)
+    this_model = f", this model {rounded(own_rmse)} px in leave-one-out" * in_leave_one_out
+    yield f"{name} {rounded(rival_rmse)} px{this_model}: {_verdict(record, own_rmse, rival_rmse)}"
     if _shift_of(record):
         yield from _as_delivered(record)
 
@@ -355,18 +354,19 @@ def _by_points(record: Record) -> bool:
         record.predicted is None or accuracy.image.n >= MANY_INDEPENDENT)
 
 
-def _verdict(record: Record, own: float, other: float) -> str:
+def _verdict(record: Record, own_rmse: float, rival_rmse: float) -> str:
     """Return in a few words what the ratio of two RMSE is worth."""
-    alike = own <= _ALIKE * other and other <= _ALIKE * own
+    alike = own_rmse <= _ALIKE * rival_rmse and rival_rmse <= _ALIKE * own_rmse
     if record.strategy:
         if alike:
             return "no practical difference"
-        return f"{_times(other / own)} as large" if other > own else \
-            f"smaller by {100 * (1 - other / own):.0f} %"
+        return f"{_times(rival_rmse / own_rmse)} as large" if rival_rmse > own_rmse else \
+            f"smaller by {100 * (1 - rival_rmse / own_rmse):.0f} %"
     if alike:
         return "the search gains nothing"
-    return f"the search is better by {100 * (1 - own / other):.0f} %" if other > own else \
-        "better; omit --problem, --solver"
+    if rival_rmse > own_rmse:
+        return f"the search is better by {100 * (1 - own_rmse / rival_rmse):.0f} %"
+    return "better; omit --problem, --solver"
 
 
 def _times(ratio: float) -> str:

@@ -37,7 +37,8 @@ def selected(record: Record, view: View | None, picture: str) -> Iterator[Block]
         for name in there:
             yield from figure(view, name)
         yield from (table(view) for name in there if (table := OF_TERMS[name]) is not None)
-    selection, offered = record.selection, record.offered
+    selection = record.selection
+    offered = record.offered
     if selection.n_features < offered.n_features and not record.strategy:
         yield Detail(Names("Features", selection.features))
     if selection.n_terms < offered.n_terms:
@@ -70,7 +71,8 @@ def _choice(record: Record, strategy: Strategy, view: View | None) -> Iterator[B
 
 def _search(record: Record) -> Iterator[Block]:
     """Yield what was selected, and how it was searched for."""
-    selection, offered = record.selection, record.offered
+    selection = record.selection
+    offered = record.offered
     if stability := record.stability:
         yield (f"{selection.n_terms} of {offered.n_terms} terms are in at least "
                f"{stability.threshold:.0%} of {stability.repeats} selections, each with "
@@ -139,7 +141,8 @@ def _certificate(certificate: Certificate, exact: str) -> str:
 
 def _front(record: Record, view: View | None, picture: str) -> Iterator[Block]:
     """Yield the front, or the best so far of each size, and what is proven of these."""
-    front, by_size = record.front, record.by_size
+    front = record.front
+    by_size = record.by_size
     members: Sequence[Member | SizeRow] = front or [row for row in by_size if row.better]
     if not members:
         return
@@ -149,7 +152,8 @@ def _front(record: Record, view: View | None, picture: str) -> Iterator[Block]:
                      "Choose a member in the chart above or in the table below.",
                      search.members(view, picture), keeps_ratio=True)
     size, criterion = list(members[0].objectives)[:2]
-    counts, names = sizes.counted_by(members), size.removeprefix("n_")
+    counts = sizes.counted_by(members)
+    names = size.removeprefix("n_")
     proven = {row.objectives[size]: sizes.proven(row) for row in by_size}
     yield TableBlock("Pareto front", (
         counts, *list(members[0].objectives)[1:], "selection [px]", "independent check [px]",
