@@ -12,7 +12,7 @@ from tests.walks import chromosome_to_fitness, model_to_fit, option_to_use, tabl
 @pytest.mark.slow
 def test_walks_grow_no_longer(tmp_path: Path) -> None:
     option = option_to_use(tmp_path)
-    assert len(option.functions) <= 65
+    assert len(option.functions) <= 60
     assert list(option.holders) == ["RunOptions", "GeneticAlgorithm"]
     assert len(chromosome_to_fitness().functions) <= 60
     assert len(model_to_fit().functions) <= 95

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -180,17 +180,20 @@ def _by_parts(recipe: Recipe, components: Mapping[str, Any],
     """Return the given options by part of the run."""
     declared = {"data": DATA_OPTIONS, "search": SEARCH_OPTIONS,
                 **{role: component.declared_options for role, component in components.items()}}
-    elsewhere = _names_of(declared)
+    elsewhere: set[str] = set()
+    for options in declared.values():
+        elsewhere |= {option.name for option in options}
     of_problem = [*recipe.options, *(option for option in undeclared_options(recipe)
                                      if option.name not in elsewhere)]
-    _refuse_of_others(settings, {"problem": of_problem, **declared})
+    _refuse_of_others(settings, elsewhere | {option.name for option in of_problem})
     return by_part(settings, {"problem": of_problem, **declared})
 
 
-def _refuse_of_others(settings: Mapping[str, Any],
-                      declared: Mapping[str, Iterable[Option]]) -> None:
-    """Refuse an option that only models, solvers or criteria have which are not used, by name."""
-    names = _names_of(declared)
+def _refuse_of_others(settings: Mapping[str, Any], names: Container[str]) -> None:
+    """Refuse an option that only models, solvers or criteria have which are not used, by name.
+
+    `names` are those of the options of the parts that are used.
+    """
     for key in settings:
         if key in names or "." in key:
             continue
@@ -205,14 +208,6 @@ def _refuse_of_others(settings: Mapping[str, Any],
                     f"{key!r} is an option of the {role} {' and '.join(owners[:3])}, which this "
                     "run does not use", hint=f"Add --{role} {owners[0]}, or leave it out.",
                     name=key)
-
-
-def _names_of(declared: Mapping[str, Iterable[Option]]) -> set[str]:
-    """Return the names of the options of all parts."""
-    names: set[str] = set()
-    for options in declared.values():
-        names |= {option.name for option in options}
-    return names
 
 
 def problem_for(features: FeatureSet | None, dataset: str | DatasetSpec | None = None) -> str:

@@ -113,7 +113,8 @@ class Search(TaskMethod):
 
     def find(self, task: Task, memory: Memory) -> tuple[Request, Finding]:
         """Search a prepared task, or the problem of one's own with its features."""
-        task = self.own_task(task)
+        if self.problem is not None or self.settings:
+            task = self._own_task(task)
         # The outlier test comes before the search, which may leave blunders out.
         auto = Auto(memory=memory)
         verdict = judge_features(task.observations, auto, task.options["data"]["tested"])
@@ -125,14 +126,12 @@ class Search(TaskMethod):
         return searched.request, replace(
             finding_of(searched, search, auto, verdict), budget=budget)
 
-    def own_task(self, task: Task) -> Task:
-        """Return a task, or that of one's own problem and settings where they are given.
+    def _own_task(self, task: Task) -> Task:
+        """Return the task of one's own problem and settings with the features of a task.
 
-        Its features keep the roles that they play in the task, so that independent points stay
+        They keep the roles that they play in the task, so that independent points stay
         independent.
         """
-        if self.problem is None and not self.settings:
-            return task
         features = task.features.with_(points=task.observations.features.points)
         return prepare(self.problem or task.recipe, features=features, source=task.source,
                        **self.settings)

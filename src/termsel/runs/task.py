@@ -122,8 +122,8 @@ class Task(Glance):
         return ProblemData(
             model=self.model, control=self.scaling.features(control),
             check=self.scaling.points(self.observations.check), pixels=self.scaling.image_scale,
-            criterion=self.criterion, options=options,
-            objectives=objectives_of(options.get("objectives"), self.criterion))
+            criterion=self.request.criterion, options=options,
+            objectives=objectives_of(options.get("objectives"), self.request.criterion))
 
     @cached_property
     def problem(self) -> Problem:
@@ -222,7 +222,9 @@ def prepared(request: Request) -> Task:
     """Return the task of what is asked; refuse what its problem cannot be built from."""
     # A problem is built at once, so that what is wrong is said before a search begins.
     request = with_shares(request)
-    return checked(Task(request, observe(request)))
+    task = Task(request, observe(request))
+    _ = task.problem
+    return task
 
 
 def checked(task: Task) -> Task:
