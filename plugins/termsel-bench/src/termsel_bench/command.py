@@ -34,6 +34,9 @@ REFUTED = 2
 @click.option("--set", "settings", multiple=True, metavar="KEY=VALUE",
               help="Option of the solvers and models.")
 @click.option("--alone", "without_others", is_flag=True, help="Without auto and other packages.")
+@click.option("--suite", type=click.Choice(["simulated", "measured"]), default="simulated",
+              show_default=True, help="Forty simulated sets, or 133 measured ones: old maps, "
+              "vertical photos and automatic matches.")
 @click.option("--quick", is_flag=True, help="One set of each kind: about a minute.")
 @click.option("--sets", "pattern", default="", metavar="TEXT",
               help="Only sets whose name contains this.")
@@ -52,18 +55,20 @@ REFUTED = 2
 @click.option("--overwrite", is_flag=True, help="Replace files that are there.")
 def bench(method_names: tuple[str, ...], solvers: tuple[str, ...], problem: str | None,
           models: tuple[str, ...], packages: tuple[str, ...], settings: tuple[str, ...],
-          without_others: bool, quick: bool, pattern: str, real: Path | None, processes: int,
-          scheduler: str, folder: Path | None, checked: Path | None, files: Path | None,
-          overwrite: bool) -> None:
-    """Compare methods of georeferencing on forty simulated sets.
+          without_others: bool, suite: str, quick: bool, pattern: str, real: Path | None,
+          processes: int, scheduler: str, folder: Path | None, checked: Path | None,
+          files: Path | None, overwrite: bool) -> None:
+    """Compare methods of georeferencing on simulated or measured sets.
 
     A method sees control and check points, lines and the RPC of a set. 1,000 independent points
-    judge it. Without --alone, auto, GDAL, Orthority, RANSAC, scikit-learn and scripts with DEAP
-    and pymoo run next to your methods.
+    judge a simulated set; of a measured one each point is hidden once, and the median of the
+    distances judges it. Without --alone, auto, GDAL, Orthority, RANSAC, scikit-learn and scripts
+    with DEAP and pymoo run next to your methods.
 
     \b
     Examples:
       termsel bench --quick
+      termsel bench --suite measured --sets measured-map
       termsel bench --solver ga --set population=300 --out mine
       termsel bench --package mymodule:fit --alone
       termsel bench --check mine
@@ -82,8 +87,13 @@ def bench(method_names: tuple[str, ...], solvers: tuple[str, ...], problem: str 
         raise TermselError(f"{named[0]} goes with no method and no other task",
                            hint="Give it with --sets or --quick alone; --check also with "
                                 "--package, which says what code of the results may run.")
-    names = _sets(pattern, quick=quick)
-    if files is not None:
+    if suite == "measured" and checked is None:
+        names = _measured(pattern, quick=quick)
+    else:
+        names = _sets(pattern, quick=quick)
+    if files is not None and suite == "measured":
+        _write_measured(files, names, overwrite=overwrite)
+    elif files is not None:
         _write_files(files, names, overwrite=overwrite)
     elif checked is not None:
         sys.exit(_check(checked, pattern, processes, trusted))
@@ -128,10 +138,21 @@ def _sets(pattern: str, *, quick: bool) -> list[str]:
     return names
 
 
+def _measured(pattern: str, *, quick: bool) -> list[str]:
+    from termsel_bench.scenes.measured import SOURCES, measured_names
+
+    names = measured_names(pattern)
+    if not quick:
+        return names
+    of_kind = [[name for name in names if name.startswith(source.kind)] for source in SOURCES]
+    return [names_of_kind[0] for names_of_kind in of_kind if names_of_kind]
+
+
 def _run(methods: Sequence[Method], names: Sequence[str], real: Path | None, processes: int,
          scheduler: str, folder: Path | None, *, overwrite: bool) -> None:
     from termsel import require_replaceable
     from termsel_bench.protocol import scores
+    from termsel_bench.scenes.measured import MEASURED
     from termsel_bench.scenes.real import real_folders
     from termsel_bench.tables import by_kind, losses
 
@@ -148,7 +169,9 @@ def _run(methods: Sequence[Method], names: Sequence[str], real: Path | None, pro
             echo(f"{len(scored)} of {total}: {score.set_name}", err=True)
     header, rows = by_kind(scored)
     print_table(header, rows)
-    echo("\nMedian ratio of the RMSE of independent check points to the least of each set.")
+    figure = "median error of hidden points" if scored[0].set_name.startswith(MEASURED) \
+        else "RMSE of independent check points"
+    echo(f"\nMedian ratio of the {figure} to the least of each set.")
     lost_sets = losses(scored, methods[0].title)
     if len(methods) > 1:
         names_of_lost = ", ".join(loss.set_name for loss, _ in lost_sets)
@@ -196,6 +219,27 @@ def _write_files(folder: Path, names: Sequence[str], *, overwrite: bool) -> None
     write_text(folder / METADATA, json_text(described(sets)) + "\n")
     say_written([folder / METADATA])
     echo(f"{len(sets)} sets are in {folder}.")
+
+
+def _write_measured(folder: Path, names: Sequence[str], *, overwrite: bool) -> None:
+    from termsel import require_replaceable
+    from termsel.toolkit import write_text
+    from termsel.toolkit.files import refuse_links
+    from termsel_bench.scenes.catalogue import METADATA
+    from termsel_bench.scenes.croissant import described_measured
+    from termsel_bench.scenes.measured import published_files
+
+    files = published_files(names)
+    require_replaceable([folder / METADATA, *(folder / name for name in files)], reads=[],
+                        overwrite=overwrite, makes_folder=True)
+    folder.mkdir(parents=True, exist_ok=True)
+    refuse_links(folder)
+    for name, text in files.items():
+        (folder / name).parent.mkdir(exist_ok=True)
+        write_text(folder / name, text)
+    write_text(folder / METADATA, json_text(described_measured(names, files)) + "\n")
+    say_written([folder / METADATA])
+    echo(f"{len(names)} sets are in {folder}.")
 
 
 def _check(folder: Path, pattern: str, processes: int, packages: Sequence[str]) -> int:

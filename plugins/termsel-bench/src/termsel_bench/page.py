@@ -10,6 +10,7 @@ from termsel.toolkit import Document, Section, TableBlock
 from termsel_bench.methods.base import AUTO
 from termsel_bench.protocol import Score
 from termsel_bench.scenes.croissant import VERSION
+from termsel_bench.scenes.measured import MEASURED
 from termsel_bench.tables import NEAR, best_of, by_kind, losses, ratio
 
 
@@ -20,9 +21,19 @@ def document(scores: Sequence[Score], title: str = AUTO.title) -> Document:
     best = best_of(scores)
     sets = dict.fromkeys(score.set_name for score in scores)
     worse = losses(scores, title)
-    summary = TableBlock("Median ratio of the RMSE to the least of each set; - if the method has "
-                         "no result on half of the sets or more.", tuple(header),
-                         [tuple(row) for row in rows])
+    figure = "RMSE"
+    protocol = (
+        "A method sees control and selection points, lines, the image's size and the RPC of a set. "
+        "Independent check points, which no method sees, judge it.")
+    if any(name.startswith(MEASURED) for name in sets):
+        figure = "error"
+        protocol = (
+            "The sets are measured. Each point is hidden once, and judges what a method makes of "
+            "the points of the other folds; of matches a method sees one fold. The error of a set "
+            "is the median distance of its hidden points.")
+    summary = TableBlock(
+        f"Median ratio of the {figure} to the least of each set; - where the method has no result "
+        "on half of the sets or more.", tuple(header), [tuple(row) for row in rows])
     lost = TableBlock(
         f"Sets where {title} loses by more than {100 * (NEAR - 1):.0f} %",
         ("set", "points", f"{title} [px]", "95 %", "best method", "best [px]", "95 %", "ratio"),
@@ -30,16 +41,14 @@ def document(scores: Sequence[Score], title: str = AUTO.title) -> Document:
           _px(winner.rmse), _interval(winner), f"{loss.rmse / winner.rmse:.2f}")
          for loss, winner in worse])
     all_scores = TableBlock(
-        "All scores", ("set", "method", "points", "RMSE [px]", "95 %", "ratio", "why no result"),
+        "All scores",
+        ("set", "method", "points", f"{figure} [px]", "95 %", "ratio", "why no result"),
         [(score.set_name, score.method.title, str(score.control), _px(score.rmse), _interval(score),
           _px(ratio(score, best)), score.why) for score in scores], folded=True)
     named = any(score.method.title == title for score in scores)
     return Document(
         "termsel-bench", f"sets of version {VERSION}, termsel {__version__}",
-        (f"{len(rows)} methods on {len(sets)} sets. A method sees control and selection points, "
-         "lines, "
-         "the image's size and the RPC of a set. Independent check points, which no method sees, "
-         "judge it.",),
+        (f"{len(rows)} methods on {len(sets)} sets. {protocol}",),
         (Section("Which method is best on which kind of image?", (summary,)),
          *([Section(f"Where does {title} lose?", (
              f"It loses on {len(worse)} of {len(sets)} sets.", *([lost] if worse else [])))]

@@ -5,22 +5,24 @@ from __future__ import annotations
 import logging
 import math
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from termsel import TermselError
-from termsel.toolkit import one_blas_thread, requires, safe_start
+from termsel.toolkit import FloatArray, one_blas_thread, requires, safe_start
 from termsel.toolkit.files import quieted
 from termsel_bench.methods.base import Method
 from termsel_bench.scenes.base import BenchSet
 from termsel_bench.scenes.catalogue import simulated
+from termsel_bench.scenes.measured import MEASURED, MeasuredSet, measured
 from termsel_bench.scenes.real import real_set
 
 SEED = 1
@@ -41,8 +43,8 @@ class Score:
     control, independent : int
         Numbers of points: control and check points together, and those that judge.
     rmse, low, high : float
-        RMSE of the independent points [px], and its interval of 95 % by resampling the points;
-        infinite without a result.
+        RMSE of the independent points [px], of a measured set the median of their distances, and
+        its interval of 95 % by resampling the points; infinite without a result.
     seconds : float
         Processor time.
     why : str
@@ -89,6 +91,8 @@ def score(work: Work) -> Score:
     TermselError
         If the set is not the frozen one, or its files are not those it declares.
     """
+    if work.real is None and work.set_name.startswith(MEASURED):
+        return _score_of_measured(work.method, measured(work.set_name))
     bench_set = set_of(work)
     method = work.method
     of_score = (method, bench_set.name, bench_set.kind, len(bench_set.features.points),
@@ -101,12 +105,38 @@ def score(work: Work) -> Score:
         return Score(*of_score, seconds=time.process_time() - start, why=str(error).split("\n")[0])
     seconds = time.process_time() - start
     squares = ((positions - bench_set.independent.image) ** 2).sum(axis=1)
+    low, high = np.sqrt(_interval(squares, np.mean))
+    return Score(*of_score, float(np.sqrt(squares.mean())), low, high, seconds)
+
+
+def _score_of_measured(method: Method, measured_set: MeasuredSet) -> Score:
+    """Return what a method is worth on a measured set: the median over the points of all folds."""
+    n = len(measured_set.features.points)
+    trials = [measured_set.trial(fold) for fold in range(measured_set.trials)]
+    control = min(len(seen.points) for seen, _ in trials)
+    of_score = (method, measured_set.name, measured_set.kind, control, n)
+    start = time.process_time()
+    distances: list[float] = []
+    try:
+        with quieted("termsel", logging.CRITICAL):
+            for seen, hidden in trials:
+                errors = method.positions(seen, hidden, SEED) - hidden.image
+                distances += np.hypot(*errors.T).tolist()
+    except TermselError as error:
+        return Score(*of_score, seconds=time.process_time() - start, why=str(error).split("\n")[0])
+    seconds = time.process_time() - start
+    low, high = _interval(np.array(distances), np.median)
+    return Score(*of_score, float(np.median(distances)), low, high, seconds)
+
+
+def _interval(values: FloatArray, figure: Callable[[FloatArray], Any]) -> tuple[float, float]:
+    """Return the interval of a figure, by resampling its values."""
     # Points are drawn with replacement, so that the interval is of sets like this one.
     rng = np.random.default_rng(SEED)
-    means = [squares[rng.integers(len(squares), size=len(squares))].mean()
-             for _ in range(_RESAMPLES)]
-    low, high = np.sqrt(np.quantile(means, [(1 - _LEVEL) / 2, (1 + _LEVEL) / 2]))
-    return Score(*of_score, float(np.sqrt(squares.mean())), float(low), float(high), seconds)
+    figures = [figure(values[rng.integers(len(values), size=len(values))])
+               for _ in range(_RESAMPLES)]
+    low, high = np.quantile(figures, [(1 - _LEVEL) / 2, (1 + _LEVEL) / 2])
+    return float(low), float(high)
 
 
 def scores(methods: Sequence[Method], sets: Iterable[str], real: Sequence[Path] = (), *,
@@ -117,7 +147,7 @@ def scores(methods: Sequence[Method], sets: Iterable[str], real: Sequence[Path] 
     ----------
     methods : sequence of Method
     sets : iterable of str
-        Names of simulated sets.
+        Names of simulated and measured sets.
     real : sequence of Path
         Folders of real sets.
     processes : int

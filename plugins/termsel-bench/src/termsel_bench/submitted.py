@@ -16,6 +16,7 @@ from termsel.toolkit.runs import raised
 from termsel_bench.methods.base import METHOD_KINDS, Method
 from termsel_bench.protocol import Score, scores
 from termsel_bench.scenes.catalogue import SETS, checksums
+from termsel_bench.scenes.measured import checksums_of_measured
 
 SCHEMA = "termsel-bench-1"
 
@@ -43,12 +44,12 @@ class Checked:
 
 
 def texts_of(scored: Sequence[Score]) -> dict[str, str]:
-    """Return the file of each method by its name; real sets are no part of it."""
-    frozen = checksums()
+    """Return the file of each method by its name; sets of a user's own are no part of it."""
+    frozen = _frozen()
     files = {}
     for method in dict.fromkeys(score.method.title for score in scored):
         of_method = [score for score in scored if score.method.title == method
-                     and score.set_name in SETS]
+                     and score.set_name in frozen]
         if not of_method:
             continue
         stated_method = of_method[0].method
@@ -58,12 +59,18 @@ def texts_of(scored: Sequence[Score]) -> dict[str, str]:
                        "options": dict(stated_method.options),
                        "problem": stated_method.problem},
             "sets": {score.set_name: {
-                "sha256": frozen[f"{score.set_name}.csv"],
+                "sha256": frozen[score.set_name],
                 "rmse": round(score.rmse, 6) if math.isfinite(score.rmse) else None}
                 for score in of_method}}
         name = re.sub(r"[^A-Za-z0-9]+", "-", method).strip("-")
         files[f"{name}.json"] = json.dumps(content, indent=1) + "\n"
     return files
+
+
+def _frozen() -> dict[str, str]:
+    """Return the SHA-256 of the points of each set, simulated and measured."""
+    simulated = checksums()
+    return {**{name: simulated[f"{name}.csv"] for name in SETS}, **checksums_of_measured()}
 
 
 def read_submitted(folder: Path, packages: Sequence[str] = ()) -> list[Submitted]:
@@ -112,12 +119,12 @@ def _read(path: Path, packages: Sequence[str]) -> Submitted:
         raise TermselError(f"{path} names code to run: {method.name!r:.100}",
                            hint="If you trust it, name it yourself: --package MODULE:FUNCTION.")
     method.require()
-    frozen = checksums()
+    frozen = _frozen()
     for name in rmse:
-        if name not in SETS:
+        if name not in frozen:
             raise refused(f"names the set {name!r}, which there is not")
         # The checksum of the points says of which version of the set a result is.
-        if sums[name] != frozen[f"{name}.csv"]:
+        if sums[name] != frozen[name]:
             raise refused(f"is of another version of the set {name}")
     if not rmse:
         raise refused("has no sets")

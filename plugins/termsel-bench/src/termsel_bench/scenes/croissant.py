@@ -6,8 +6,9 @@ version of the benchmark is published.
 
 from __future__ import annotations
 
+import hashlib
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ import termsel_bench
 from termsel.toolkit import write_text
 from termsel_bench.scenes.base import INDEPENDENT, BenchSet, means_of
 from termsel_bench.scenes.catalogue import MEANS, METADATA, SETS, made
+from termsel_bench.scenes.measured import FOLDS, measured
 
 VERSION = "1.0.0"
 """Of the sets: figures of different versions cannot be compared."""
@@ -66,6 +68,47 @@ def described(sets: Iterable[BenchSet]) -> dict[str, Any]:
         "rai:dataLimitations": "No set has measurements of the real world.",
         "distribution": files,
         "recordSet": [_points_of(bench_set) for bench_set in described_sets]}
+
+
+MEASURED_COLUMNS = {name: POINT_COLUMNS[name] for name in POINT_COLUMNS if name != "role"}
+"""Columns of the points of measured sets; some have no heights."""
+
+
+def described_measured(names: Sequence[str], files: Mapping[str, str]) -> dict[str, Any]:
+    """Return the metadata of some measured sets, and of the files that hold them."""
+    sets = [measured(name) for name in names]
+    places = json.loads(files[FOLDS])
+    record_sets = []
+    for each in sets:
+        file = places[each.name]["file"]
+        columns = files[file].partition("\n")[0].split(",")
+        fields = [{"@type": "cr:Field", "@id": f"{each.name}/{column}", "name": column,
+                   "description": MEASURED_COLUMNS.get(column, ("", "image position [px]"))[1],
+                   "dataType": MEASURED_COLUMNS.get(column, ("sc:Float", ""))[0],
+                   "source": {"fileObject": {"@id": file}, "extract": {"column": column}}}
+                  for column in columns]
+        record_sets.append({
+            "@type": "cr:RecordSet", "@id": f"{each.name}/points", "name": f"{each.name}/points",
+            "description": f"Points of the set {each.name} of the kind {each.kind}, from "
+                           f"{each.source}, {each.licence}.", "field": fields})
+    return {
+        "@context": CONTEXT, "@type": "sc:Dataset", "conformsTo":
+        "http://mlcommons.org/croissant/1.0", "name": "termsel-bench-measured", "version": VERSION,
+        "description": "Measured ground control: old maps and vertical photos by volunteers, and "
+                       "automatic matches, with frozen folds. Blunders are not removed.",
+        "license": sorted({f"https://spdx.org/licenses/{each.licence}.html" for each in sets}),
+        "isLiveDataset": False,
+        "creator": {"@type": "sc:Organization", "name": "See the source of each set"},
+        "citeAs": "The sources of the sets, and termsel-bench " + VERSION,
+        "keywords": ["georeferencing", "ground control points", "old maps"],
+        "rai:dataCollection": "Published by others; meta.json of each folder has address and "
+                              "commit.",
+        "rai:dataLimitations": "Points have blunders, and nobody knows the truth.",
+        "distribution": [
+            {"@type": "cr:FileObject", "@id": file, "name": file, "contentUrl": file,
+             "encodingFormat": "text/csv" if file.endswith(".csv") else "text/plain",
+             "sha256": hashlib.sha256(text.encode()).hexdigest()} for file, text in files.items()],
+        "recordSet": record_sets}
 
 
 def _points_of(bench_set: BenchSet) -> dict[str, Any]:

@@ -1,0 +1,102 @@
+"""The measured sets: all methods of `termsel bench --suite measured`.
+
+``python -m benchmarks.measured_benchmark --write`` makes docs/evidence/measured.md. With
+``--kept FILE`` scores are kept, and a repeated command goes on from there. Peers that are not
+installed have no result. It takes half an hour.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+from benchmarks.sets import put
+from termsel_bench.methods.base import AUTO, PEERS, Method
+from termsel_bench.protocol import Score, Work, score
+from termsel_bench.scenes.measured import measured_names
+from termsel_bench.tables import best_of, by_kind, losses, ratio
+
+METHODS = [AUTO, *(Method("peer", name) for name in PEERS if name != "orthority")]
+
+NEAR, BOUND = 1.05, 1.35
+"""Ratios to the best in hindsight that the page counts."""
+
+
+def main() -> None:
+    """Score all methods on all measured sets, then print or write the page."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--kept", type=Path, help="file of scores, which are not made again")
+    parser.add_argument("--sets", default="", help="only sets whose name contains this")
+    parser.add_argument("--write", action="store_true", help="write docs/evidence/measured.md")
+    asked = parser.parse_args()
+    scored = list(kept_scores(measured_names(asked.sets), asked.kept))
+    put("measured", page(scored), write=asked.write)
+
+
+def kept_scores(names: Sequence[str], file: Path | None) -> Iterator[Score]:
+    """Yield the scores of all methods, those of a file and those that are added to it."""
+    lines = file.read_text().splitlines() if file is not None and file.exists() else []
+    kept = {}
+    for line in lines:
+        row = json.loads(line)
+        of_method = Method(**row.pop("method"))
+        kept[of_method.title, row["set_name"]] = Score(of_method, **row)
+    for name in names:
+        for method in METHODS:
+            found = kept.get((method.title, name)) or score(Work(method, name))
+            if file is not None and (method.title, name) not in kept:
+                with file.open("a") as stream:
+                    stream.write(json.dumps(asdict(found)) + "\n")
+            yield found
+
+
+def page(scored: Sequence[Score]) -> str:
+    """Return the page."""
+    best = best_of(scored)
+    header, rows = by_kind(scored)
+    sets = list(dict.fromkeys(each.set_name for each in scored))
+    lost = losses(scored, AUTO.title)
+    lines = [HEAD, _table(header, rows), "", "## How often each method is near the best", "",
+             f"Sets on which a method is within 5 % of the best of all methods, and within "
+             f"{BOUND}, of those that it has a result on.", "",
+             _table(["method", "sets with a result", "within 5 %", f"within {BOUND}"],
+                    [_near(scored, best, title) for title in dict.fromkeys(
+                        each.method.title for each in scored)]), "",
+             "## Where auto loses", "",
+             f"`auto` loses by more than 2 % on {len(lost)} of {len(sets)} sets; those with the "
+             "largest ratios:", "",
+             _table(["set", "points in a fit", "auto [px]", "best method", "best [px]", "ratio"],
+                    [[loss.set_name, str(loss.control), f"{loss.rmse:.2f}", winner.method.title,
+                      f"{winner.rmse:.2f}", f"{loss.rmse / winner.rmse:.2f}"]
+                     for loss, winner in lost[:40]]), ""]
+    return "\n".join(lines) + "\n"
+
+
+def _near(scored: Sequence[Score], best: dict[str, float], title: str) -> list[str]:
+    ratios = [ratio(each, best) for each in scored if each.method.title == title]
+    return [title, str(sum(math.isfinite(value) for value in ratios)),
+            *(str(sum(value <= bound for value in ratios)) for bound in (NEAR, BOUND))]
+
+
+def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    return "\n".join(f"| {' | '.join(row)} |" for row in [header, ["---"] * len(header), *rows])
+
+
+HEAD = """# The measured sets
+
+Made by `python -m benchmarks.measured_benchmark --write`: 32 old maps and 100 vertical photos with
+points by volunteers, and 694 automatic matches of two images. All are real, and blunders are among
+them. Each point is hidden once, in frozen folds, and judges what a method makes of the others; of
+the matches a method sees an eighth. The figure of a set is the median distance of all hidden points
+[px], as a median is not led astray by hidden blunders. The table has the median ratio of this
+figure to the least of all methods on the set. Photos have 6 to 14 points, so that their figures are
+rough. The [datasheet](../reference/datasheet.md#measured-sets) has the sources.
+"""
+
+
+if __name__ == "__main__":
+    main()

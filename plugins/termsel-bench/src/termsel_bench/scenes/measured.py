@@ -1,0 +1,237 @@
+"""The measured sets: points that people and programs measured, with frozen folds.
+
+Each source has a folder in the package, with its files as they were published, its licence, and
+`meta.json`: address, commit, checksum of each file. Every point is hidden once: a method gets the
+points of the other folds, and the hidden ones judge it. Of matches, which are many, a method gets
+one fold. Volunteers and matchers make blunders, so that a set is judged by the median of the
+distances.
+
+``python -m termsel_bench.scenes.measured`` draws the folds again: for maintainers.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.resources import files
+from io import StringIO
+from typing import Any
+
+import numpy as np
+
+from termsel import FeatureSet, Points, TermselError
+from termsel.toolkit import unknown_name
+
+FOLDS = "folds.json"
+"""File of the package with the fold of each point of each set."""
+
+MEASURED = "measured-"
+"""How the names of measured sets begin."""
+
+_SEED = 2026
+
+
+@dataclass(frozen=True)
+class Source:
+    """A published collection of sets.
+
+    Parameters
+    ----------
+    folder : str
+        In the package.
+    kind : str
+        What tables call its sets, and how their names begin.
+    crs : str
+    folds : int
+        Of each set.
+    sees_one : bool
+        Whether a method sees one fold and the others judge it; else one is hidden and judges.
+    """
+
+    folder: str
+    kind: str
+    crs: str
+    folds: int
+    sees_one: bool = False
+
+
+SOURCES = (Source("slv_maps", "measured-map", "EPSG:4326", 4),
+           # Photos have as few as six points.
+           Source("smapshot_nadir", "measured-photo", "EPSG:4979", 3),
+           # Some 87 of 694 matches.
+           Source("loftr_matches", "measured-matches", "local", 8, sees_one=True))
+"""The sources; their licences allow to pass them on."""
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredSet:
+    """A measured set.
+
+    Parameters
+    ----------
+    name, kind : str
+    features : FeatureSet
+        All its points, without roles.
+    folds : ndarray of int, shape (n,)
+        In which fold each point is.
+    sees_one : bool
+        As for `Source`.
+    licence, source, sha256 : str
+        Of the file of its points; the source with its commit.
+    """
+
+    name: str
+    kind: str
+    features: FeatureSet
+    folds: np.ndarray[tuple[int], np.dtype[np.intp]]
+    sees_one: bool
+    licence: str
+    source: str
+    sha256: str
+
+    @property
+    def trials(self) -> int:
+        """How often a method is fitted."""
+        return int(self.folds.max()) + 1
+
+    def trial(self, fold: int) -> tuple[FeatureSet, Points]:
+        """Return what a method sees in a fold, and the hidden points."""
+        points = self.features.points
+        hidden = (self.folds == fold) != self.sees_one
+        return self.features.with_(points=points.take(~hidden)), points.take(hidden)
+
+
+def measured_names(pattern: str = "") -> list[str]:
+    """Return the names of all measured sets whose name contains a text.
+
+    Raises
+    ------
+    TermselError
+        If there is none.
+    """
+    names = [name for name in _files() if pattern in name]
+    if not names:
+        raise TermselError(f"there is no measured set {pattern!r}",
+                           hint=f"Kinds are {', '.join(source.kind for source in SOURCES)}.")
+    return names
+
+
+@lru_cache(maxsize=2)
+def measured(name: str) -> MeasuredSet:
+    """Return a measured set.
+
+    Raises
+    ------
+    TermselError
+        If there is none of the name, or its file is not the published one.
+    """
+    if name not in _files():
+        raise unknown_name("set", name, _files())
+    source, file = _files()[name]
+    meta = _meta(source.folder)
+    content = _text(source.folder, file)
+    checksum = hashlib.sha256(content.encode()).hexdigest()
+    if checksum != meta["sha256"][file]:
+        raise TermselError(f"the SHA-256 of {file} is {checksum}, not that of the published file",
+                           hint="Install termsel-bench again.")
+    folds = np.array(json.loads(_text("", FOLDS))[name], dtype=np.intp)
+    size = _sizes().get(file.removesuffix(".csv")) if source.folder == "smapshot_nadir" else None
+    features = FeatureSet(_points(content), crs=source.crs, image_size=size)
+    return MeasuredSet(name, source.kind, features, folds, source.sees_one, meta["licence"],
+                       f"https://{meta['source']} {meta['commit']}", checksum)
+
+
+def checksums_of_measured() -> dict[str, str]:
+    """Return the published SHA-256 of the points of each set."""
+    return {name: _meta(source.folder)["sha256"][file]
+            for name, (source, file) in _files().items()}
+
+
+def published_files(names: Sequence[str]) -> dict[str, str]:
+    """Return the files of some sets as they were published, by folder and name, with the folds."""
+    found: dict[str, str] = {}
+    for source in SOURCES:
+        files_of_source = [file for name, (its, file) in _files().items()
+                           if its == source and name in names]
+        if not files_of_source:
+            continue
+        extra = ["photos.csv"] if "photos.csv" in _meta(source.folder)["sha256"] else []
+        for file in (*files_of_source, *extra, "LICENSE", "meta.json"):
+            found[f"{source.folder}/{file}"] = _text(source.folder, file)
+    folds = json.loads(_text("", FOLDS))
+    found[FOLDS] = json.dumps({name: {
+        "file": f"{_files()[name][0].folder}/{_files()[name][1]}", "fold": folds[name]}
+        for name in names}, indent=1) + "\n"
+    return found
+
+
+@lru_cache(maxsize=1)
+def _files() -> Mapping[str, tuple[Source, str]]:
+    """Return source and file of each set by its name."""
+    found: dict[str, tuple[Source, str]] = {}
+    for source in SOURCES:
+        of_points = sorted(file for file in _meta(source.folder)["sha256"] if file != "photos.csv")
+        for number, file in enumerate(of_points, 1):
+            found[f"{source.kind}-{number:03d}"] = (source, file)
+    return found
+
+
+@lru_cache(maxsize=8)
+def _meta(folder: str) -> dict[str, Any]:
+    content: dict[str, Any] = json.loads(_text(folder, "meta.json"))
+    return content
+
+
+def _text(folder: str, file: str) -> str:
+    place = files("termsel_bench") / "measured"
+    return ((place / folder if folder else place) / file).read_bytes().decode()
+
+
+def _points(content: str) -> Points:
+    """Return the points of a published file."""
+    rows = list(csv.DictReader(StringIO(content)))
+    if "id" not in rows[0]:
+        return _matches([list(map(float, row.values())) for row in rows])
+    image = np.array([[float(row["line"]), float(row["sample"])] for row in rows])
+    ground = np.array([[float(row["x"]), float(row["y"]), float(row.get("z") or "nan")]
+                       for row in rows])
+    return Points(tuple(row["id"] for row in rows), image, ground)
+
+
+def _matches(rows: Sequence[Sequence[float]]) -> Points:
+    """Return matches of two images: the first is the ground, with its rows turned upwards."""
+    x, y, sample, line = np.array(rows).T
+    return Points(tuple(f"M{i + 1:03d}" for i in range(len(rows))), np.column_stack([line, sample]),
+                  np.column_stack([x, -y, np.full(len(rows), np.nan)]))
+
+
+@lru_cache(maxsize=1)
+def _sizes() -> dict[str, tuple[int, int]]:
+    """Return lines and samples of each photo."""
+    rows = csv.DictReader(StringIO(_text("smapshot_nadir", "photos.csv")))
+    return {row["photo"]: (int(row["height"]), int(row["width"])) for row in rows}
+
+
+def drawn_folds() -> dict[str, list[int]]:
+    """Draw the fold of each point of each set; folds of a set differ by one point at most."""
+    folds = {}
+    for number, (name, (source, file)) in enumerate(_files().items()):
+        n = len(_points(_text(source.folder, file)))
+        rng = np.random.default_rng([_SEED, number])
+        folds[name] = rng.permutation(np.arange(n) % source.folds).tolist()
+    return folds
+
+
+if __name__ == "__main__":
+    from pathlib import Path
+
+    import termsel_bench
+
+    target = Path(str(termsel_bench.__file__)).parent / "measured" / FOLDS
+    rows_of_text = [f" {json.dumps(name)}: {json.dumps(row)}"
+                    for name, row in drawn_folds().items()]
+    target.write_text("{\n" + ",\n".join(rows_of_text) + "\n}\n", encoding="utf-8")
