@@ -170,8 +170,6 @@ def about(kind: str, entry: Entry) -> list[tuple[str, str]]:
     if kind == "solvers":
         return [*package, ("Objectives", f"at most {thing.max_objectives}"),
                 ("Ends", "by itself" if thing.ends_by_itself else "with the budget"),
-                ("By name", ", ".join(f"`{key}={value}`" for key, value
-                                      in thing.published.items())),
                 ("Departures", " ".join(thing.departures))]
     return package
 

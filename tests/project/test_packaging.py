@@ -197,3 +197,34 @@ def test_no_public_name_is_a_room() -> None:
     names = {*termsel.__all__, *toolkit.__all__}
     rooms = set(ROOMS) - {"toolkit"}
     assert not names & rooms
+
+
+def test_each_claim_names_a_test_that_there_is() -> None:
+    named = re.findall(r"`((?:tests|plugins)/[^`]+\.py)::(\w+)`", _text("docs/reference/claims.md"))
+    assert len(named) >= 8
+    for file, function in named:
+        assert f"def {function}(" in _text(file), f"{file}::{function}"
+
+
+def test_the_recipe_of_conda_forge_has_the_requirements_of_the_package() -> None:
+    text = _text(".ci/conda-forge/recipe.yaml")
+    recipe = yaml.safe_load(text)
+    listed = {need.replace(" ", "") for need in recipe["requirements"]["run"]}
+    needed = set(_project(ROOT / "pyproject.toml")["dependencies"])
+    assert listed - {"python>=${{python_min}}"} == needed
+    assert recipe["context"]["version"] == version.__version__.partition(".dev")[0]
+
+
+def test_the_file_of_the_archive_says_what_the_citation_says() -> None:
+    archived = json.loads(_text(".zenodo.json"))
+    cited = yaml.safe_load(_text("CITATION.cff"))
+    assert (archived["title"], archived["license"]) == (cited["title"], cited["license"])
+    assert archived["keywords"] == cited["keywords"]
+    assert cited["abstract"] in re.sub("<[^>]+>", "", archived["description"])
+
+
+def test_a_release_is_published_without_a_token_and_only_where_it_is_switched_on() -> None:
+    publish = yaml.safe_load(_text(".github/workflows/release.yml"))["jobs"]["publish"]
+    assert publish["if"] == "vars.PUBLISH == 'true'"
+    assert publish["permissions"] == {"id-token": "write"}
+    assert "secrets." not in _text(".github/workflows/release.yml")

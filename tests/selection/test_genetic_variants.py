@@ -13,14 +13,23 @@ from termsel.data.features import FloatArray
 from termsel.models.base import LINE, SAMPLE
 from termsel.selection.problems.base import Evaluation, Problem
 from termsel.selection.problems.genome import Genome
-from termsel.selection.problems.segments import Bits, Reals, random_subsets
+from termsel.selection.problems.segments import Bits, Integers, Reals, random_subsets
+from termsel.selection.solvers.base import Solver
+from termsel.selection.solvers.genetic.fast import FastMutation
 from termsel.selection.solvers.genetic.ga import GeneticAlgorithm
 from termsel.selection.solvers.genetic.ga_steady import (
     SteadyStateGA,
     coding,
 )
-from termsel.selection.solvers.genetic.operators import replace_one, set_crossover
+from termsel.selection.solvers.genetic.operators import (
+    crossover,
+    replace_one,
+    set_crossover,
+    two_point_crossover,
+)
+from termsel.selection.solvers.heuristics.yardsticks import RandomSearch
 from termsel.selection.solvers.search import search
+from termsel.testing import problems
 from termsel.testing.problems import Toy
 
 
@@ -254,3 +263,35 @@ def test_genes_that_are_no_bits_begin_as_ever() -> None:
     assert genes[:, :80].mean(axis=1).std() < 0.1
     assert np.ptp(genes[:, 80]) > 0.9
     assert genes[:, 80].min() >= 2.0
+
+
+@pytest.mark.parametrize("size", [1, 7, 78])
+def test_two_point_crossover_swaps_what_lies_between_two_places(size: int) -> None:
+    parents = np.zeros((400, size), dtype=bool)
+    parents[1::2] = True
+    children = two_point_crossover(parents, 1.0, rng(3))
+    first, second = children[::2], children[1::2]
+    # Each gene is in one of two children, and what was swapped is one piece.
+    assert (first ^ second).all()
+    changes = (np.diff(first.astype(int), axis=1) != 0).sum(axis=1)
+    assert (changes <= 2).all()
+    assert 0 < first.any(axis=1).mean() <= 1
+    assert (two_point_crossover(parents, 0.0, rng()) == parents).all()
+
+
+def test_bits_among_other_genes_are_crossed_between_two_places() -> None:
+    genome = Genome([Bits("bits", tuple("abcdefgh")), Integers("number", ("n",), 0, 9)])
+    parents = np.zeros((200, 9), dtype=np.intp)
+    parents[1::2, :8] = 1
+    children = crossover(parents, genome, 1.0, rng(), points=2)
+    changes = (np.diff(children[:, :8], axis=1) != 0).sum(axis=1)
+    assert changes.max() == 2
+
+
+def test_few_evaluations_suffice_for_fast_mutation() -> None:
+    def reached(solver: Solver, evaluations: int) -> float:
+        return float(np.median([search(problems.bound(), solver, seed=seed,
+                                       evaluations=evaluations).objectives[0]
+                                for seed in range(3)]))
+
+    assert reached(FastMutation(), 150) <= reached(RandomSearch(), 300)

@@ -152,11 +152,9 @@ def _describe_solver(entry: Entry) -> None:
         "ends": "by itself" if solver.ends_by_itself else
                 f"with the budget; by default {EVALUATIONS:,} evaluations, as for every solver",
         "most terms": "all" if solver.uses_all else
-                      "two thirds of the equations, as for every solver (--set max_share=1)",
-        "by name": "".join(f"--set {key}={value} " for key, value in solver.published.items())
-        + ("as published" if solver.published else "")})
+                      "two thirds of the equations, as for every solver (--set max_share=1)"})
     if solver.departures:
-        echo(f"\nDifferences from the paper, even with --solver {entry.name}:")
+        echo("\nDifferences from the paper:")
         for departure in solver.departures:
             echo(click.wrap_text(departure, 88, "- ", "  "))
     _options(solver.declared_options)

@@ -63,6 +63,7 @@ def termsel_objectives() -> Iterable[Objective]:
 def termsel_solvers() -> Iterable[type[Solver]]:
     """Return the built-in solvers."""
     from termsel.selection.solvers.bridges.pareto import Nsga2
+    from termsel.selection.solvers.genetic.fast import FastMutation
     from termsel.selection.solvers.genetic.ga import GeneticAlgorithm
     from termsel.selection.solvers.genetic.ga_steady import SteadyStateGA
     from termsel.selection.solvers.heuristics.ica import ImperialistCompetition
@@ -72,8 +73,8 @@ def termsel_solvers() -> Iterable[type[Solver]]:
     from termsel.selection.solvers.proofs.exact import Exact
     from termsel.selection.solvers.regression.ridge import Ridge
 
-    return [GeneticAlgorithm, SteadyStateGA, ImperialistCompetition, BinarySwarm, Nsga2, Exact,
-            Swap, RandomSearch, AllTerms, Ridge]
+    return [GeneticAlgorithm, FastMutation, SteadyStateGA, ImperialistCompetition, BinarySwarm,
+            Nsga2, Exact, Swap, RandomSearch, AllTerms, Ridge]
 
 
 @hookimpl

@@ -140,8 +140,8 @@ def request_of(
     set_options = tuple(by_parts["model"]) if isinstance(model_part, type) else tuple(
         option.name for option in model_part.declared_options
         if model_part.options[option.name] != option.default)
-    # 3. Instances, with what the paper of the problem or of the solver has by default.
-    usual = _usual_options(recipe, components, model, solver, features)
+    # 3. Instances, with what the problem has by default.
+    usual = _usual_options(recipe, components, model, features)
     instances = {}
     for role, component in components.items():
         instances[role] = with_options(
@@ -250,12 +250,12 @@ def _several_objectives(recipe: Recipe, settings: Mapping[str, Any]) -> bool:
         and registry().get("solvers", recipe.solver).max_objectives == 1
 
 
-def _usual_options(recipe: Recipe, components: Mapping[str, Any], model: Any, solver: Any,
+def _usual_options(recipe: Recipe, components: Mapping[str, Any], model: Any,
                    features: FeatureSet | None) -> dict[str, dict[str, Any]]:
     """Return options of the parts that hold unless others are given, by part.
 
     Those of the model are the recipe's, with the RPC of the features; those of solvers as the
-    recipe has them, or else, where a solver is named, as its paper does.
+    recipe has them.
     """
     usual: dict[str, dict[str, Any]] = {}
     model_part = components["model"]
@@ -267,11 +267,10 @@ def _usual_options(recipe: Recipe, components: Mapping[str, Any], model: Any, so
         usual["model"] = {**of_recipe, **rpc}
     elif isinstance(model_part, type):
         usual["model"] = rpc
-    for role, is_named in (("solver", solver is not None), ("then", True)):
+    for role in ("solver", "then"):
         component = components.get(role)
         if isinstance(component, type) and issubclass(component, Solver):
-            usual[role] = dict(recipe.solver_options.get(
-                component.name, component.published if is_named else {}))
+            usual[role] = dict(recipe.solver_options.get(component.name, {}))
     return usual
 
 

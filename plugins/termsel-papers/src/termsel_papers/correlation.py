@@ -122,8 +122,10 @@ class CorrelationSeededGA(GeneticAlgorithm):
         scale, offset = PRESETS.get(o["preset"], (o["scale"], o["offset"]))
         probability = activation_probabilities(correlation_sums(problem.design()), scale, offset)
 
+        size = self.population_size(problem)
+
         def population() -> BoolArray:
-            return problem.genome.repair(seeded_population(probability, o["population"], rng), rng)
+            return problem.genome.repair(seeded_population(probability, size, rng), rng)
 
         box.register("population", population)
         return box

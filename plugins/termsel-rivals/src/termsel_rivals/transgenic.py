@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from statistics import NormalDist
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from deap import base
@@ -55,7 +54,6 @@ class TransgenicGA(GeneticAlgorithm):
     """
 
     name = "ga-transgenic"
-    published: ClassVar[Mapping[str, Any]] = {}
     departures: ClassVar[tuple[str, ...]] = (
         "The test that qualifies a gene is termsel's own, and so are all rates: those of Jannati "
         "and Valadan Zoej 2015 could not be consulted.",)

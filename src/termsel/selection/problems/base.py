@@ -165,6 +165,10 @@ class Problem(Guarded, ABC):
     objectives: tuple[str, ...]
     """Names of the objectives, all to be minimised."""
 
+    budget: int | None = None
+    """Evaluations that the search has which the problem is given to; None where nothing limits
+    them."""
+
     @abstractmethod
     def evaluate(self, genes: Genes) -> Evaluation:
         """Return objectives and violations.

@@ -87,12 +87,8 @@ class Solver(Configurable, ABC):
     uses_all: ClassVar[bool] = False
     """Whether it uses all terms, so that the problem's limit on them (`max_share`) is none."""
 
-    published: ClassVar[Mapping[str, Any]] = {}
-    """Options as its paper has them, where they differ from the defaults; they hold where a user
-    asks for the solver by name."""
-
     departures: ClassVar[tuple[str, ...]] = ()
-    """In which points it departs from its paper even then, a sentence each."""
+    """In which points it departs from its paper, a sentence each."""
 
     uses_chance: ClassVar[bool] = True
     """Whether another seed may give another result. A study runs solvers without chance once."""

@@ -185,7 +185,8 @@ class Stage:
         return TermselError(
             f"this search differs {where}from the one of the checkpoint",
             hint="Give the same problem, data, solver, options and seed, or the name of a new "
-                 "file. A budget may grow where no local refinement follows.", file=self.path)
+                 "file. A budget may grow where no local refinement follows, and with ga where the "
+                 "population is given.", file=self.path)
 
     def add(self, keys: Sequence[bytes], evaluation: Evaluation) -> None:
         """Add an evaluation; it is written at once, or with others half a second later."""

@@ -58,6 +58,7 @@ class Ledger(ProblemAround):
         self.solver = solver
         self.stage = stage
         self.limit = evaluations
+        self.budget = evaluations
         self.deadline = deadline
         self.after_evaluation: Callable[[], None] = lambda: None
         self.count = 0

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from deap import base
@@ -94,7 +93,6 @@ class SteadyStateGA(GeneticAlgorithm):
     """
 
     name = "ga-steady"
-    published: ClassVar[Mapping[str, Any]] = {}
     departures: ClassVar[tuple[str, ...]] = (
         "100 chromosomes instead of 10, and as many evaluations as every solver instead of 20 "
         "generations (--set population=10 --generations 20).",

@@ -32,16 +32,18 @@ HALVINGS = 20
 """Neighbours of a number are a half, a quarter, ... of its range away, this many times."""
 
 
-def crossover(genes: Genes, genome: Genome, probability: float,
-              rng: np.random.Generator) -> Genes:
+def crossover(genes: Genes, genome: Genome, probability: float, rng: np.random.Generator,
+              points: int = 0) -> Genes:
     """Return children of neighbours: of genes (p, g) rows 0 and 1 are a pair, 2 and 3, and so on.
 
-    A pair mates with a chance. Bits and categories are swapped with chance 1/2. Numbers are crossed
+    A pair mates with a chance. Bits and categories are swapped with chance 1/2, or between two
+    places of the segment if there are two `points`. Numbers are crossed
     by simulated binary crossover (Deb, Agrawal 1995), whole ones rounded; permutations by order
     crossover (Davis 1985). Subsets keep what both parents have.
     """
     if genome.dtype == np.bool_:
-        return uniform_crossover(genes, probability, rng)
+        mate = two_point_crossover if points else uniform_crossover
+        return mate(genes, probability, rng)
     # An odd individual at the end stays as it is.
     pairs = len(genes) // 2
     # Parents stand in turn, and so do their children.
@@ -50,7 +52,8 @@ def crossover(genes: Genes, genome: Genome, probability: float,
     mates = rng.random((pairs, 1)) < probability
     children = genes.copy()
     for segment, columns in zip(genome.segments, genome.slices().values(), strict=True):
-        child_1, child_2 = _crossed(segment, genes[first, columns], genes[second, columns], rng)
+        child_1, child_2 = _crossed(segment, genes[first, columns], genes[second, columns], rng,
+                                    points)
         children[first, columns] = np.where(mates, child_1, genes[first, columns])
         children[second, columns] = np.where(mates, child_2, genes[second, columns])
     return children
@@ -73,7 +76,7 @@ def mutation(genes: Genes, genome: Genome, probability: float,
 
 
 def _crossed(segment: AnySegment, parents_1: Genes, parents_2: Genes,
-             rng: np.random.Generator) -> tuple[Genes, Genes]:
+             rng: np.random.Generator, points: int) -> tuple[Genes, Genes]:
     """Return two children of each pair of parents."""
     match segment:
         case Integers() | Reals():
@@ -89,7 +92,8 @@ def _crossed(segment: AnySegment, parents_1: Genes, parents_2: Genes,
         case CustomSegment():
             return segment.crossed(parents_1, parents_2, rng)
         case _:
-            swap = rng.random(parents_1.shape) < 0.5
+            swap = (_between_two_places(*parents_1.shape, rng) if points
+                    else rng.random(parents_1.shape) < 0.5)
             return np.where(swap, parents_2, parents_1), np.where(swap, parents_1, parents_2)
 
 
@@ -185,6 +189,29 @@ def uniform_crossover(genes: Genes, probability: float, rng: np.random.Generator
     children[0:2 * pairs:2] = np.where(swap, second, first)
     children[1:2 * pairs:2] = np.where(swap, first, second)
     return children
+
+
+def two_point_crossover(genes: Genes, probability: float, rng: np.random.Generator) -> Genes:
+    """Return children of neighbours (p, g); a mating pair swaps the genes between two places.
+
+    Rows 0 and 1 are a pair, 2 and 3, and so on, which mates with the given chance.
+    """
+    pairs = len(genes) // 2
+    first = genes[0:2 * pairs:2]
+    second = genes[1:2 * pairs:2]
+    swap = _between_two_places(*first.shape, rng)
+    swap &= rng.random((pairs, 1)) < probability
+    children = genes.copy()
+    children[0:2 * pairs:2] = np.where(swap, second, first)
+    children[1:2 * pairs:2] = np.where(swap, first, second)
+    return children
+
+
+def _between_two_places(n: int, size: int, rng: np.random.Generator) -> BoolArray:
+    """Return for n chromosomes which genes lie between two random places, shape (n, size)."""
+    places = np.sort(rng.integers(0, size + 1, (n, 2)), axis=1)
+    number = np.arange(size)
+    return (number >= places[:, :1]) & (number < places[:, 1:])
 
 
 def flip_bits(genes: BoolArray, probability: float, rng: np.random.Generator) -> BoolArray:
