@@ -184,7 +184,7 @@ def test_a_proof_keeps_no_checkpoint(tmp_path: Path) -> None:
 
 
 def test_the_choice_keeps_no_checkpoint(tmp_path: Path) -> None:
-    with pytest.raises(termsel.TermselError, match="a checkpoint is asked for"):
+    with pytest.raises(termsel.TermselError, match="a checkpoint cannot be given"):
         termsel.run("poly-terms", strategy="auto", checkpoint=tmp_path / "file")
 
 
