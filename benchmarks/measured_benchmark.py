@@ -10,7 +10,8 @@ from __future__ import annotations
 import argparse
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -31,20 +32,32 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--kept", type=Path, help="file of scores, which are not made again")
     parser.add_argument("--sets", default="", help="only sets whose name contains this")
+    parser.add_argument("--kept-only", action="store_true",
+                        help="take the sets on which the file has all methods, and run nothing")
     parser.add_argument("--write", action="store_true", help="write docs/evidence/measured.md")
     asked = parser.parse_args()
-    scored = list(kept_scores(measured_names(asked.sets), asked.kept))
+    kept = read_kept(asked.kept)
+    names = measured_names(asked.sets)
+    if asked.kept_only:
+        names = [name for name in names
+                 if all((method.title, name) in kept for method in METHODS)]
+    scored = list(kept_scores(names, kept, asked.kept))
     put("measured", page(scored), write=asked.write)
 
 
-def kept_scores(names: Sequence[str], file: Path | None) -> Iterator[Score]:
-    """Yield the scores of all methods, those of a file and those that are added to it."""
-    lines = file.read_text().splitlines() if file is not None and file.exists() else []
+def read_kept(file: Path | None) -> dict[tuple[str, str], Score]:
+    """Return the scores of a file by method and set."""
     kept = {}
-    for line in lines:
+    for line in file.read_text().splitlines() if file is not None and file.exists() else ():
         row = json.loads(line)
         of_method = Method(**row.pop("method"))
         kept[of_method.title, row["set_name"]] = Score(of_method, **row)
+    return kept
+
+
+def kept_scores(names: Sequence[str], kept: Mapping[tuple[str, str], Score],
+                file: Path | None) -> Iterator[Score]:
+    """Yield the scores of all methods, those that are kept and those that are added to a file."""
     for name in names:
         for method in METHODS:
             found = kept.get((method.title, name)) or score(Work(method, name))
@@ -60,7 +73,10 @@ def page(scored: Sequence[Score]) -> str:
     header, rows = by_kind(scored)
     sets = list(dict.fromkeys(each.set_name for each in scored))
     lost = losses(scored, AUTO.title)
-    lines = [HEAD, _table(header, rows), "", "## How often each method is near the best", "",
+    counts = Counter(each.kind for each in scored if each.method == AUTO)
+    lines = [HEAD, f"This page has {len(sets)} of the {len(measured_names())} sets: "
+             + ", ".join(f"{count} of {kind}" for kind, count in counts.items()) + ".", "",
+             _table(header, rows), "", "## How often each method is near the best", "",
              f"Sets on which a method is within 5 % of the best of all methods, and within "
              f"{BOUND}, of those that it has a result on.", "",
              _table(["method", "sets with a result", "within 5 %", f"within {BOUND}"],

@@ -145,7 +145,7 @@ def main() -> None:
     parser.add_argument("--kept", type=Path, help="file of runs, which are not made again")
     parser.add_argument("--methods", nargs="*", default=list(METHODS), choices=list(METHODS))
     parser.add_argument("--budgets", nargs="*", type=int, default=list(BUDGETS))
-    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--seeds", type=int, default=10, help="0 runs nothing")
     parser.add_argument("--write", action="store_true", help="write docs/evidence/short-budgets.md")
     asked = parser.parse_args()
     runs = kept_runs(asked.kept)

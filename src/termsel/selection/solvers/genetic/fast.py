@@ -16,7 +16,7 @@ from termsel.selection.solvers.genetic.operators import mutation
 
 
 class FastMutation(Solver):
-    """(1 + 1) evolutionary algorithm with mutations of all sizes, for 200 to 1,000 evaluations.
+    """(1 + 1) evolutionary algorithm with mutations of all sizes, for a few hundred evaluations.
 
     The parent is the best of some random selections. Each child has every gene of its parent
     changed with a chance of r / n, where r is drawn anew from a power law, and takes the place of
