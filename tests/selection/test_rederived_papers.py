@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.testing import problems
 
 
 def by_particle(problem: termsel.Problem, seed: int, particles: int, steps: int,
