@@ -68,10 +68,10 @@ def _remember_between_tests(request: pytest.FixtureRequest) -> Iterator[None]:
     if module is None or "monkeypatch" in request.fixturenames:
         yield
         return
-    shared = request.config.stash.setdefault(MEMORY, module.Memory(kept=500))
+    shared = request.config.stash.setdefault(MEMORY, module.Memory(max_answers=500))
     recall = module.Memory.recall
     module.Memory.recall = lambda memory, *args: recall(
-        shared if memory.kept == module.KEPT else memory, *args)
+        shared if memory.max_answers == module.MAX_ANSWERS else memory, *args)
     yield
     module.Memory.recall = recall
 

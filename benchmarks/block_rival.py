@@ -29,7 +29,7 @@ def fitted(block: Block, i: int, points: Points) -> Fit:
     """Return the fit of an image to points alone, by auto."""
     points = replace(points, roles=())
     found = auto_of_all().choose(FitData.of(FeatureSet(
-        points, crs=block.crs, rpc=block.images[i].rpc)), whole=False)
+        points, crs=block.crs, rpc=block.images[i].rpc)), with_contained=False)
     assert found is not None
     return found.chosen
 

@@ -135,7 +135,7 @@ def _quadratic(peer: Peer, points: Points, others: Points) -> float:
 
 def _auto(points: Points, others: Points, heights: bool) -> tuple[float, float]:
     """Return the independent RMSE of auto, and what it predicts, for all of the points."""
-    choice = Auto().choose(FitData.of(FeatureSet(points), heights), whole=False)
+    choice = Auto().choose(FitData.of(FeatureSet(points), heights), with_contained=False)
     assert choice is not None
     return rmse_of(choice.chosen.errors(others)), choice.chosen.held_out_rmse
 

@@ -121,7 +121,7 @@ def case(name: str, count: int, seed: int) -> dict[str, Any] | None:
     if len(independent) < 20:
         return None
     control = FitData.of(mine)
-    choice = Auto().choose(control, whole=False)
+    choice = Auto().choose(control, with_contained=False)
     errors = None if choice is None else Auto().repeated(control)
     if choice is None or errors is None:
         return None

@@ -62,7 +62,7 @@ def errors_of(name: str, count: int, seed: int) -> dict[str, float]:
     """Return the independent RMSE [px] of auto, of conventional models and of splines."""
     mine, independent = split(name, count, seed)
     control = FitData.of(mine)
-    choice, found = Auto().choose(control, whole=False), dict[str, float]()
+    choice, found = Auto().choose(control, with_contained=False), dict[str, float]()
     found["auto"] = np.inf if choice is None else rmse_of(choice.chosen.errors(independent))
     for plain in PLAIN:
         candidate = named(plain)

@@ -120,7 +120,7 @@ def case(asked: tuple[str, int, int, bool]) -> Case:
     control, portfolio = FitData.of(FeatureSet(points, crs="EPSG:4979", rpc=rpc)), auto_of_all()
     suspects = portfolio.suspects(control) or find_blunders(control, portfolio)
     out = np.zeros(count, dtype=bool) if suspects is None else suspects.blunders
-    choice = portfolio.choose(control.take(~out), whole=False)
+    choice = portfolio.choose(control.take(~out), with_contained=False)
     assert choice is not None
     return Case(kind, count, missed(choice.chosen.project(others)),
                 {width: missed(one) for width, one in rows.items()}, choice.method.name,

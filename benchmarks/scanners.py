@@ -61,7 +61,7 @@ def case_of(name: str, count: int, seed: int, ranges: Ranges, known: tuple[str, 
         points, others = split(name, count, 1000 + seed)
         mine = FeatureSet(points, crs=crs_of(name))
     control = FitData.of(mine)
-    found = [portfolio.choose(control, whole=False) for portfolio in (without, every_one)]
+    found = [portfolio.choose(control, with_contained=False) for portfolio in (without, every_one)]
     if found[0] is None or found[1] is None:
         return Case(np.nan, np.nan, "")
     before, after = (rmse_of(one.chosen.errors(others)) for one in found if one)

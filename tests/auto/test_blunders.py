@@ -69,13 +69,13 @@ def test_of_many_points_some_compare_the_polynomials(monkeypatch: pytest.MonkeyP
     used = np.arange(50) != 7
 
     def compared() -> np.ndarray:
-        found = contradictions._of_points(contradictions.Division(control, used), 2)
+        found = contradictions._prediction_of_points(contradictions.Division(control, used), 2)
         assert found is not None
         return found.squares
 
     every = compared()
     assert every.shape == (49,)
-    monkeypatch.setattr(contradictions, "COMPARED", 20)
+    monkeypatch.setattr(contradictions, "MAX_COMPARED_POINTS", 20)
     np.testing.assert_allclose(compared(), every[::3], rtol=1e-9)
 
 

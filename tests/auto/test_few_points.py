@@ -375,7 +375,7 @@ def test_few_points_of_a_map_are_averaged_over_what_they_do_not_tell_apart(n: in
         every = Points(tuple(map(str, range(n + 60))), image, ground)
         first = np.arange(n + 60) < n
         control = FitData.of(FeatureSet(every.take(first), crs="local"))
-        choice = Auto().choose(control, whole=False)
+        choice = Auto().choose(control, with_contained=False)
         affine = named("affine")
         assert choice is not None
         assert affine is not None
@@ -397,6 +397,6 @@ def test_few_points_without_heights_that_a_scanner_saw_keep_its_prior() -> None:
     image = sensor.project(ground) + rng.normal(0, 0.3, (9, 2))
     ground[:, 2] = np.nan
     choice = Auto().choose(FitData.of(FeatureSet(Points(
-        tuple("ABCDEFGHI"), image, ground), crs="EPSG:4979")), whole=False)
+        tuple("ABCDEFGHI"), image, ground), crs="EPSG:4979")), with_contained=False)
     assert choice is not None
     assert choice.method.name == "physical-cubic"

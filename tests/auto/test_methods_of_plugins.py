@@ -14,7 +14,7 @@ import pytest
 import termsel
 from termsel.auto.auto import Auto
 from termsel.auto.methods import METHODS, Structure, named
-from termsel.auto.rule import BETTER, CLEARLY, EXPECTED, best_of, method_of
+from termsel.auto.rule import CLEAR_MARGIN, PRIOR_MARGIN, PROJECTION_MARGIN, best_of, method_of
 from termsel.core.errors import TermselError
 from termsel.data import fit_data as control_module
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, no_lines
@@ -98,9 +98,11 @@ def chosen_of(fits: list[Fit]) -> tuple[str, str]:
 
 
 @pytest.mark.parametrize(("of", "gain", "chosen"), [
-    ("", CLEARLY - 0.1, "shrunken-quadratic"), ("", CLEARLY + 0.1, "mine"),
-    ("central", EXPECTED - 0.1, "shrunken-quadratic"), ("central", EXPECTED + 0.1, "mine"),
-    ("has_prior", BETTER - 0.1, "shrunken-quadratic"), ("has_prior", BETTER + 0.1, "mine")])
+    ("", CLEAR_MARGIN - 0.1, "shrunken-quadratic"), ("", CLEAR_MARGIN + 0.1, "mine"),
+    ("central", PROJECTION_MARGIN - 0.1, "shrunken-quadratic"),
+    ("central", PROJECTION_MARGIN + 0.1, "mine"),
+    ("has_prior", PRIOR_MARGIN - 0.1, "shrunken-quadratic"),
+    ("has_prior", PRIOR_MARGIN + 0.1, "mine")])
 def test_a_candidate_with_a_prior_or_a_central_one_needs_less(
         control: FitData, of: str, gain: float, chosen: str) -> None:
     noise = np.random.default_rng(1).normal(size=len(control))
@@ -150,7 +152,7 @@ def test_what_a_prior_contains_is_not_chosen_next_to_it(control: FitData) -> Non
 
 def test_what_others_contain_is_judged_only_to_be_shown(control: FitData) -> None:
     for whole in (True, False):
-        choice = Auto().choose(control, whole=whole)
+        choice = Auto().choose(control, with_contained=whole)
         assert choice is not None
         assert ("cubic" in [method_of(fitted).name for fitted in choice.compared]) == whole
 

@@ -32,7 +32,7 @@ def again(features: FeatureSet, shift: float = 0.0) -> FitData:
 
 def test_equal_features_with_equal_methods_are_looked_at_once(scene: FeatureSet) -> None:
     calls: list[str] = []
-    memory = Memory(kept=20)
+    memory = Memory(max_answers=20)
 
     def count_of(question: str, data: FitData, auto: Auto) -> Any:
         return auto.recall(question, data, lambda: calls.append(question) or len(calls))
@@ -44,13 +44,13 @@ def test_equal_features_with_equal_methods_are_looked_at_once(scene: FeatureSet)
     assert count_of("this", again(scene), Auto(methods=auto.methods[1:], memory=memory)) == 4
     assert count_of("this", replace(again(scene), heights=False), auto) == 5
     assert count_of("this", again(scene), Auto(memory=memory)) == 1
-    assert count_of("this", again(scene), Auto(memory=Memory(kept=20))) == 6
+    assert count_of("this", again(scene), Auto(memory=Memory(max_answers=20))) == 6
 
 
 def test_where_a_method_failed_it_is_asked_again(scene: FeatureSet) -> None:
     """What it lacked, as a file, may be there by now."""
     calls: list[int] = []
-    memory = Memory(kept=20)
+    memory = Memory(max_answers=20)
     for _ in range(2):
         auto = Auto(memory=memory)
 
@@ -71,7 +71,7 @@ def test_nobody_changes_what_is_remembered(scene: FeatureSet) -> None:
 
 
 def test_the_last_used_are_kept(scene: FeatureSet) -> None:
-    memory = Memory(kept=5)
+    memory = Memory(max_answers=5)
     calls: list[int] = []
     for i in (0, *range(5), 0, 5, 0, 1):
         memory.recall(i, again(scene), lambda i=i: calls.append(i))
@@ -81,7 +81,7 @@ def test_the_last_used_are_kept(scene: FeatureSet) -> None:
 def test_what_cannot_be_compared_is_looked_at_every_time(scene: FeatureSet) -> None:
     known: Any = type("Local", (), {})()
     calls: list[int] = []
-    memory = Memory(kept=20)
+    memory = Memory(max_answers=20)
     for _ in range(2):
         memory.recall("this", FitData.of(replace(scene, rpc=known)), lambda: calls.append(1))
     assert calls == [1, 1]
@@ -89,7 +89,7 @@ def test_what_cannot_be_compared_is_looked_at_every_time(scene: FeatureSet) -> N
 
 def test_another_run_on_the_same_features_tells_as_much(scene: FeatureSet) -> None:
     told: list[list[Any]] = [[], []]
-    memory = Memory(kept=20)
+    memory = Memory(max_answers=20)
     runs = [termsel.run("poly-terms", features=scene, strategy="auto", memory=memory,
                         observers=[lambda seen, of=of: of.append((seen.evaluations, seen.share))])
             for of in told]

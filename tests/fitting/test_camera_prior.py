@@ -16,7 +16,7 @@ from termsel.adjustment.bayesian.physics import (
     CameraPriors,
     CameraSolutions,
 )
-from termsel.auto.physical import averaged, averaged_of
+from termsel.auto.physical import camera_average, camera_average_of
 from termsel.data.fit_data import FitData
 from termsel.data.monomials import graded_exponents, monomials
 from termsel.simulate import simulate_scene
@@ -129,7 +129,7 @@ def test_few_points_of_a_radar_or_a_photo_are_worth_more_too(kind, count, withou
         first = np.arange(count + 60) < count
         mine, others = every.take(first), every.points.take(~first)
         ratios.append(worth(mine, others, without))
-        kinds.append(averaged_of(termsel.fit(mine, "physical-cubic")).kind)
+        kinds.append(camera_average_of(termsel.fit(mine, "physical-cubic")).kind)
     assert np.median(ratios) < least
     assert kinds.count(named) >= 3
 
@@ -177,8 +177,8 @@ def test_no_radar_sees_both_sides_of_its_track():
 def test_more_than_the_fewest_points_must_call_for_it_by_strong_evidence():
     for count, at_odds_of_ten in ((6, False), (8, True)):
         control = FitData.of(simulate_scene("spot-isfahan", roles=(count, 0, 0), n_lines=0))
-        found = averaged(control.scaled.points, control.scaling, control.features.crs,
-                         graded_exponents(3, 3))
+        found = camera_average(control.scaled.points, control.scaling, control.features.crs,
+                               graded_exponents(3, 3))
         physical = len(found.physical)
 
         def by_odds(odds, found=found, physical=physical):
@@ -186,16 +186,18 @@ def test_more_than_the_fewest_points_must_call_for_it_by_strong_evidence():
             shares[0], shares[physical] = odds / (1 + odds), 1 / (1 + odds)
             return replace(found, shares=shares, worse=0.0)
 
-        assert [by_odds(odds).alone(None) for odds in (2, 10, 30)] == [True, at_odds_of_ten, False]
+        assert [by_odds(odds).is_uncalled_for(None)
+                for odds in (2, 10, 30)] == [True, at_odds_of_ten, False]
 
 
 @pytest.mark.parametrize(("count", "needed"), [(12, [False, False, True]),
                                                (16, [False, True, True])])
 def test_beyond_twelve_points_it_must_also_predict_points_better(count, needed):
     control = FitData.of(simulate_scene("spot-isfahan", roles=(count, 0, 0), n_lines=0))
-    found = averaged(control.scaled.points, control.scaling, control.features.crs,
-                     graded_exponents(3, 3))
-    assert [replace(found, worse=worse).alone(None) for worse in (-1.5, 0.0, 1.5)] == needed
+    found = camera_average(control.scaled.points, control.scaling, control.features.crs,
+                           graded_exponents(3, 3))
+    assert [replace(found, worse=worse).is_uncalled_for(None)
+            for worse in (-1.5, 0.0, 1.5)] == needed
 
 
 @pytest.mark.parametrize(("shrunk", "meant"), [(1.0, True), (0.05, True), (1e-3, False),
@@ -205,7 +207,7 @@ def test_no_satellite_has_pixels_of_millimetres_or_of_kilometres(shrunk, meant):
     points = simulate_scene("spot-isfahan", roles=(8, 0, 0), n_lines=0).points
     metres = (points.ground - points.ground.mean(axis=0)) * [90e3, 111e3, 1.0]
     control = FitData.of(FeatureSet(replace(points, ground=shrunk * metres)))
-    found = averaged(control.scaled.points, control.scaling, "", graded_exponents(3, 3))
+    found = camera_average(control.scaled.points, control.scaling, "", graded_exponents(3, 3))
     assert (found is not None) == meant
 
 

@@ -342,7 +342,7 @@ def test_folds_of_twenty_points_are_judged_as_all_of_them_are() -> None:
     control, _ = unseen(simulate_map(seed=0, n_points=120, sheets=(1, 2), local=0.0, joints=12.0),
                         20)
     whole, *folds = (
-        Auto().choose(FitData.of(control.take(np.arange(20) != out), False), whole=False)
+        Auto().choose(FitData.of(control.take(np.arange(20) != out), False), with_contained=False)
         for out in (20, *range(6)))
     assert whole is not None
     assert sum(one is not None and one.method.name == whole.method.name for one in folds) >= 4
@@ -353,7 +353,7 @@ def test_few_points_of_joined_sheets_are_predicted_as_a_spline_does() -> None:
     for seed in range(8):
         control, others = unseen(simulate_map(
             seed=seed, n_points=112, sheets=(1, 2), local=0.0, joints=12.0), 12)
-        choice = Auto().choose(FitData.of(control, False), whole=False)
+        choice = Auto().choose(FitData.of(control, False), with_contained=False)
         assert choice is not None
         errors.append([total(choice.chosen.errors(others)),
                        *(total(termsel.fit(control, name).errors(others))

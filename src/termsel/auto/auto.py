@@ -25,11 +25,11 @@ from termsel.auto.folds import (
 from termsel.auto.memory import Memory
 from termsel.auto.methods import METHODS
 from termsel.auto.rule import (
-    BETTER,
+    PRIOR_MARGIN,
     Choice,
-    base_of,
     best_of,
     contained,
+    fit_to_beat,
     gain,
     method_of,
     standard_errors,
@@ -46,19 +46,19 @@ from termsel.fitting.fit import Fit, HeldOut, Undetermined
 from termsel.fitting.method import Method, Suspects
 from termsel.models.base import SensorModel
 
-EXACT = 3
+MAX_EXACT_POINTS = 3
 """Number of points up to which a model fits them exactly, and none is chosen."""
 
-MANY_POINTS = 20
+HOPELESS_MIN_POINTS = 20
 """Points from which on folds do not try what all points together come nowhere near to choosing."""
 
 Watch = Callable[[Fit | None], None]
 """Called with the fit of each method as soon as it is held against the features; with None where
 the features do not determine it."""
 
-_RETURNED = {"declines": str, "describe": str, "fit": Fit, "held_out": HeldOut,
-             "model": SensorModel, "nearly": bool, "refit": Fit,
-             "size": numbers.Real, "suspects": Suspects, "tried": bool}
+_HOOK_TYPES = {"declines": str, "describe": str, "fit": Fit, "held_out": HeldOut,
+               "model": SensorModel, "nearly": bool, "refit": Fit,
+               "size": numbers.Real, "suspects": Suspects, "tried": bool}
 """Types of what hooks of a method return, if it is not None."""
 
 
@@ -74,7 +74,7 @@ class Auto(Method):
         What was found of the last features, by this choice or another.
     faults : dict
         Why methods are left out, by name.
-    whole : FeatureSet, optional
+    all_features : FeatureSet, optional
         All features, where those to choose by are a part: then all of them count for
         `Method.max_features`.
     hopeless : frozenset of str
@@ -87,7 +87,7 @@ class Auto(Method):
     methods: tuple[Method, ...] = METHODS
     memory: Memory = field(default_factory=Memory)
     faults: dict[str, TermselError] = field(default_factory=dict)
-    whole: FeatureSet | None = None
+    all_features: FeatureSet | None = None
     hopeless: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
@@ -138,16 +138,16 @@ class Auto(Method):
         None where the features do not determine the method, and where it fails: then it is left out
         from now on, unless it is termsel's own.
         """
-        return self._asked(method, hook, lambda: getattr(method, hook)(*args))
+        return self._call(method, hook, lambda: getattr(method, hook)(*args))
 
-    def _asked(self, method: Method, hook: str, call: Callable[[], Any]) -> Any:
+    def _call(self, method: Method, hook: str, call: Callable[[], Any]) -> Any:
         if method.name in self.faults:
             return None
         try:
             with blamed(method, hook):
                 answer = call()
             answer = bool(answer) if isinstance(answer, np.bool_) else answer
-            fault = answer is not None and of_type(answer, _RETURNED[hook])
+            fault = answer is not None and of_type(answer, _HOOK_TYPES[hook])
             if fault:
                 raise wrong(method, hook, fault)
         except Undetermined:
@@ -174,8 +174,8 @@ class Auto(Method):
 
     def _count(self, data: FitData) -> int:
         """Return how many features there are, of all that these are a part of."""
-        whole = self.whole or data.features
-        return len(whole) if len(data.features.lines) else len(whole.points)
+        all_features = self.all_features or data.features
+        return len(all_features) if len(data.features.lines) else len(all_features.points)
 
     def suspects(self, data: FitData) -> Suspects | None:
         """Return which features contradict what some method knows; None if none tells."""
@@ -184,7 +184,7 @@ class Auto(Method):
 
     def fewest(self, data: FitData) -> int:
         """Return the fewest features to choose by."""
-        return 1 if any(method.from_one for method in self.offered(data)) else EXACT + 1
+        return 1 if any(method.from_one for method in self.offered(data)) else MAX_EXACT_POINTS + 1
 
     def validated(self, method: Method, data: FitData) -> Fit | None:
         """Return a method fitted to features, with the errors of each held out.
@@ -194,14 +194,14 @@ class Auto(Method):
         """
         if method.name in self.hopeless or not self.ask(method, "tried", data):
             return None
-        made: Fit | None = self.ask(method, "fit", data)
-        if made is None:
+        unnamed: Fit | None = self.ask(method, "fit", data)
+        if unnamed is None:
             return None
-        fitted = replace(made, method=method)
+        fitted = replace(unnamed, method=method)
         if fitted.stored_held_out is None and (
                 fitted.adjustment.redundancy < 1 or has_pole(fitted)):
             return None
-        held_out: HeldOut | None = self._asked(method, "held_out", fitted.held_out)
+        held_out: HeldOut | None = self._call(method, "held_out", fitted.held_out)
         if held_out is None:
             return None
         if not is_own(method):
@@ -216,31 +216,32 @@ class Auto(Method):
     # The choice.
 
     def choose(self, data: FitData, watch: Watch | None = None, *,
-               whole: bool = True) -> Choice | None:
+               with_contained: bool = True) -> Choice | None:
         """Fit the methods to features and choose by leave-one-out; None if none is determined.
 
         A regularised polynomial is averaged over all that lies between the plain ones, by a measure
         that needs no points to be left out. The rule is that of `termsel.auto.rule.best_of`: where
         the points call for a random field, the regularised polynomial with it takes the place of
         those without. Where features are too few for any method with a prior, similarities and a
-        plane affine polynomial are tried, too. With `whole`, methods that others contain are fitted
-        all the same, to be shown.
+        plane affine polynomial are tried, too. `with_contained` has methods that others contain
+        fitted all the same, to be shown.
         """
-        offered = self.offered(data)
-        if (settled := self._settled(offered, data)) is not None:
+        candidates = self.offered(data)
+        if (settled := self._settled(candidates, data)) is not None:
             return settled
         fits: dict[str, Fit] = {}
         # What contains others comes first where these need not be fitted then.
-        order = offered if whole else sorted(offered, key=lambda method: -len(method.contains))
+        order = candidates if with_contained else sorted(candidates,
+                                                         key=lambda method: -len(method.contains))
         for method in order:
             called_for = fits.keys() >= set(method.needs) and (
-                whole or not contained(method, fits.values()))
+                with_contained or not contained(method, fits.values()))
             fitted = self.validated(method, data) if called_for else None
             if fitted:
                 fits[method.name] = fitted
             if watch:
                 watch(fitted)
-        compared = [fits[method.name] for method in offered if method.name in fits]
+        compared = [fits[method.name] for method in candidates if method.name in fits]
         if not any(method_of(fitted).has_prior for fitted in compared):
             compared = [*self.few(data), *compared]
         choice = self.best_of(compared)
@@ -253,9 +254,9 @@ class Auto(Method):
         """Whether there is nothing to choose: one method is asked for."""
         return len(self.methods) == 1
 
-    def _settled(self, offered: Iterable[Method], data: FitData) -> Choice | None:
+    def _settled(self, candidates: Iterable[Method], data: FitData) -> Choice | None:
         """Return the choice of the method that the features call for alone, if one says so."""
-        for method in offered:
+        for method in candidates:
             reason = self._settles(method, data)
             fitted = self.validated(method, data) if reason else None
             if fitted is not None:
@@ -287,7 +288,7 @@ class Auto(Method):
         return best_of(fits, lambda fitted: self.ask(method_of(fitted), "describe", fitted))
 
     def choose_features(self, data: FitData, watch: Watch | None = None, *,
-                        whole: bool = True) -> Choice | None:
+                        with_contained: bool = True) -> Choice | None:
         """Choose as `choose`, and whether from points with lines, or from the points alone.
 
         Lines that add more error than redundancy are left out whole: where the points alone predict
@@ -295,24 +296,25 @@ class Auto(Method):
         fit then has no lines. `watch` is told of the choice from all features alone.
         """
         count = len(data.features.points)
-        choice = self.choose(data, watch, whole=whole)
+        choice = self.choose(data, watch, with_contained=with_contained)
         if choice is None or not count or not len(data.features.lines):
             return choice
         points = FitData.of(data.features.with_(lines=no_lines()), data.heights)
-        alone = self.choose(points, whole=whole)
-        if alone is None:
+        points_choice = self.choose(points, with_contained=with_contained)
+        if points_choice is None:
             return choice
-        advantage = gain_of(alone.chosen.held_out().squares,
+        advantage = gain_of(points_choice.chosen.held_out().squares,
                             choice.chosen.held_out().squares[:count], choice.chosen.rounding)
         comparison = (
             f"Points alone predict the points {'better' if advantage > 0 else 'worse'} than "
             "points "
             f"with lines do, by {standard_errors(advantage)}")
-        if advantage > BETTER:
-            return replace(alone, reason=f"{alone.reason} {comparison}, so the lines are not "
-                                         "used.")
+        if advantage > PRIOR_MARGIN:
+            return replace(points_choice,
+                           reason=f"{points_choice.reason} {comparison}, so the lines are not "
+                           "used.")
         return replace(choice, reason=f"{choice.reason} {comparison}; to be used alone they must "
-                                      f"be better by more than {BETTER:g}.")
+                                      f"be better by more than {PRIOR_MARGIN:g}.")
 
     # The choice, repeated without some of the features.
 
@@ -323,12 +325,12 @@ class Auto(Method):
         without a prior that predict no better than the one to be beaten, and those that all
         features do not determine, or do not call for, unless they say that parts may.
         """
-        parts = replace(self, whole=data.features, hopeless=frozenset())
+        choice_for_parts = replace(self, all_features=data.features, hopeless=frozenset())
         priors = [] if choice is None else [
             fitted for fitted in choice.compared if method_of(fitted).has_prior]
         if choice is None or not priors:
-            return parts
-        base = base_of(priors)[0]
+            return choice_for_parts
+        base = fit_to_beat(priors)[0]
         is_near = {method_of(fitted).name: method_of(fitted).has_prior or gain(fitted, base) > 0.0
                    for fitted in choice.compared}
 
@@ -340,8 +342,8 @@ class Auto(Method):
                 return is_near[method.name]
             return bool(self.ask(method, "nearly", data))
 
-        return replace(parts, hopeless=frozenset(
-            method.name for method in parts.offered(data) if not may_be_chosen(method)))
+        return replace(choice_for_parts, hopeless=frozenset(
+            method.name for method in choice_for_parts.offered(data) if not may_be_chosen(method)))
 
     def repeated(self, data: FitData, watch: Watch | None = None,
                  choice: Choice | None = None) -> FloatArray | None:
@@ -386,15 +388,15 @@ class Auto(Method):
         errors = np.empty((len(owner), 2))
         fit_without = self._fitting_without(data, watch, choice)
         for fold in range(folds):
-            out = np.zeros(len(data), dtype=bool)
-            out[order[fold::folds]] = True
-            held = features.take(out)
-            fitted = fit_without(out)
+            in_fold = np.zeros(len(data), dtype=bool)
+            in_fold[order[fold::folds]] = True
+            fold_features = features.take(in_fold)
+            fitted = fit_without(in_fold)
             if fitted is None:
                 return None
-            distances = np.linalg.norm(fitted.line_errors(held.lines), axis=2)
-            errors[:count][out[:count]] = fitted.errors(held.points)
-            errors[count:][out[owner[count:]]] = distances
+            distances = np.linalg.norm(fitted.line_errors(fold_features.lines), axis=2)
+            errors[:count][in_fold[:count]] = fitted.errors(fold_features.points)
+            errors[count:][in_fold[owner[count:]]] = distances
         if count < len(owner):
             weights = row_weights(data.scaled, heights=data.heights)
             errors[count:] *= weights[2 * count:].reshape(-1, 2)
@@ -407,24 +409,25 @@ class Auto(Method):
         features = data.features
         if self.is_one_method:
             return partial(self._alone_without, data, watch)
-        whole = cache(lambda: self.choose(data, whole=False))
-        many = len(features.points) >= MANY_POINTS and not len(features.lines)
-        parts = self.for_parts_of(data, (choice or whole()) if many else None)
+        choice_of_all = cache(lambda: self.choose(data, with_contained=False))
+        skips_hopeless = len(features.points) >= HOPELESS_MIN_POINTS and not len(features.lines)
+        choice_for_parts = self.for_parts_of(
+            data, (choice or choice_of_all()) if skips_hopeless else None)
         fewest = self.fewest(data)
 
-        def fit_without(out: BoolArray) -> Fit | None:
-            rest = _without(data, out)
-            chosen = None if len(rest) < fewest else \
-                parts.choose_features(rest, watch, whole=False)
+        def fit_without(excluded: BoolArray) -> Fit | None:
+            remaining = _without(data, excluded)
+            chosen = None if len(remaining) < fewest else \
+                choice_for_parts.choose_features(remaining, watch, with_contained=False)
             fitted = None if chosen is None else chosen.chosen
             if chosen is None or not any(
                     method_of(compared).has_prior for compared in chosen.compared):
                 if not len(features.points):
                     return None
                 # Few features choose by luck: what all of them choose is fitted to these.
-                if usual := whole():
+                if usual := choice_of_all():
                     fitted = self.ask(usual.method, "refit", usual.chosen,
-                                      replace(rest, heights=data.heights)) or fitted
+                                      replace(remaining, heights=data.heights)) or fitted
             return fitted
 
         return fit_without
@@ -446,21 +449,21 @@ class Auto(Method):
         enough to go on from. None if some part of the lattice leaves too little to choose by.
         """
         fit_without = self._fitting_without(data, watch, choice)
-        along_lines_and_columns = []
+        directions = []
         for number in (lattice.line, lattice.column):
             errors = np.full((len(data), 2), np.nan)
             count = int(number.max()) + 1
             first, last = held_out_lines(count)
             inside = (number >= first) & (number <= last)
             for fold in range(folds_along(count)):
-                out = inside & ((number - first) % FOLDS_OF_LATTICE == fold)
-                fitted = fit_without(out)
+                in_fold = inside & ((number - first) % FOLDS_OF_LATTICE == fold)
+                fitted = fit_without(in_fold)
                 if fitted is None:
                     return None
-                errors[out] = fitted.errors(data.features.take(out).points)
-            along_lines_and_columns.append((errors[inside], number[inside]))
-        return max(along_lines_and_columns,
-                   key=lambda found: float((found[0]**2).sum(axis=1).mean()))
+                errors[in_fold] = fitted.errors(data.features.take(in_fold).points)
+            directions.append((errors[inside], number[inside]))
+        return max(directions,
+                   key=lambda direction: float((direction[0]**2).sum(axis=1).mean()))
 
 
 def _without(data: FitData, out: BoolArray) -> FitData:

@@ -33,7 +33,7 @@ import numpy as np
 from termsel.adjustment.bayesian.field import GaussianProcess
 from termsel.adjustment.bayesian.held_out import chance_of
 from termsel.auto.auto import Auto
-from termsel.auto.contradictions import STRAIN, UNLIKELY, Division, Test, polynomial_of
+from termsel.auto.contradictions import FALSE_ALARM, MIN_STRAIN, Division, Test, polynomial_of
 from termsel.auto.memory import Memory
 from termsel.auto.robust import reweighted
 from termsel.auto.shrunken import Averaging
@@ -43,24 +43,24 @@ from termsel.data.record.chances import median
 from termsel.fitting.fit import Fit
 from termsel.fitting.method import Suspects
 
-Whole = Callable[[], Test | None]
+TestOfAll = Callable[[], Test | None]
 """The test by all features, which is made where one is asked for."""
 
-Tested = Callable[[Division], Test | None]
+TestOf = Callable[[Division], Test | None]
 """A test by the features in use."""
 
-MOST = 1 / 3
+MAX_BLUNDER_SHARE = 1 / 3
 """Largest share of blunders."""
 
-STEP, LEAST_STEP = 0.34, 0.01
+STEP_SHARE, MIN_STEP_SHARE = 0.34, 0.01
 """Share of the points still to be set aside that one step takes, and of all points that it takes at
 least: of many points, the last steps would hardly differ."""
 
-CLEAR = 1.5
+CLEAR_RATIO = 1.5
 """Errors by the largest one of points in use, beyond which a point is a blunder under a model that
 is no polynomial."""
 
-LEAST = 21
+MIN_PROBABLE_POINTS = 21
 """Points below which none is left out for being likelier a blunder. They are no more than the
 coefficients of a cubic polynomial, and a right point that shows a bend may look like one."""
 
@@ -73,33 +73,34 @@ def find_blunders(control: FitData, auto: Auto | None = None) -> Suspects | None
     blunders: their errors were the polynomial's.
     """
     choice = auto or Auto()
-    suspects: Suspects | None = choice.recall("blunders", control, lambda: _found(control, choice))
+    suspects: Suspects | None = choice.recall("blunders", control,
+                                              lambda: _suspects_of(control, choice))
     return suspects
 
 
-def _found(control: FitData, auto: Auto) -> Suspects | None:
+def _suspects_of(control: FitData, auto: Auto) -> Suspects | None:
     everything = np.ones(len(control), dtype=bool)
-    whole = cache(Division(control, everything).shrunken_test)
-    core = _core(control, whole)
+    test_of_all = cache(Division(control, everything).shrunken_test)
+    core = _core(control, test_of_all)
     if core is None:
         return None
-    used, test = _settled(control, *_forward(control, *core, whole))
-    while not (used.all() or test.local) and (
-            choice := auto.choose(control.take(used), whole=False)):
-        more = used | _predicted_by(choice.chosen, control.features)
-        if (more == used).all():
+    used, test = _judged_by_field(control, *_readmitted(control, *core, test_of_all))
+    while not (used.all() or test.by_field) and (
+            choice := auto.choose(control.take(used), with_contained=False)):
+        extended = used | _predicted_by(choice.chosen, control.features)
+        if (extended == used).all():
             break
-        used = more
-    kept = used
-    if len(control) >= LEAST and not len(control.features.lines):
-        kept = _without_probable(control, used)
-    if (kept != used).any():
-        test = Division(control, kept).test() or test
-    seen = _by_projection(control, auto, kept)
-    if seen is not None:
-        kept, test = seen
+        used = extended
+    retained = used
+    if len(control) >= MIN_PROBABLE_POINTS and not len(control.features.lines):
+        retained = _without_probable(control, used)
+    if (retained != used).any():
+        test = Division(control, retained).test() or test
+    by_projection = _by_projection(control, auto, retained)
+    if by_projection is not None:
+        retained, test = by_projection
     far, decided = test.far(len(control)), test.decided()
-    blunders, undecided = ~kept, kept & far & ~decided
+    blunders, undecided = ~retained, retained & far & ~decided
     cleared = _explained(control, auto, blunders | undecided)
     return test.suspects(blunders & ~cleared, blunders & ~cleared & ~(far & decided),
                          undecided & ~cleared, everything)
@@ -114,27 +115,27 @@ def _by_projection(control: FitData, auto: Auto,
     """
     if len(control.features.lines):
         return None
-    choice = auto.choose(control.take(used), whole=False)
+    choice = auto.choose(control.take(used), with_contained=False)
     if choice is None or not choice.method.central or choice.chosen.view is None:
         return None
     projection = choice.method
 
-    def tested(division: Division) -> Test | None:
-        return division.test_by(projection)
+    def test_of(division: Division) -> Test | None:
+        return division.test_by_projection(projection)
 
     everything = np.ones(len(control), dtype=bool)
-    whole = cache(lambda: tested(Division(control, everything)))
-    test = whole()
+    test_of_all = cache(lambda: test_of(Division(control, everything)))
+    test = test_of_all()
     if test is not None and not _stands_out(test.errors):
         return everything, test
-    core = _core(control, whole, tested)
-    return None if core is None else _forward(control, *core, whole, tested)
+    core = _core(control, test_of_all, test_of)
+    return None if core is None else _readmitted(control, *core, test_of_all, test_of)
 
 
 def _stands_out(errors: FloatArray) -> bool:
     """Return whether some error is far beyond the median, as that of no blunder is."""
     # The median of the larger of two normal errors is 1.05 standard deviations.
-    return bool(errors.max() > STRAIN * median(errors) / 1.05)
+    return bool(errors.max() > MIN_STRAIN * median(errors) / 1.05)
 
 
 def _explained(control: FitData, auto: Auto, suspected: BoolArray) -> BoolArray:
@@ -145,7 +146,7 @@ def _explained(control: FitData, auto: Auto, suspected: BoolArray) -> BoolArray:
     """
     cleared = np.zeros(len(control), dtype=bool)
     while not len(control.features.lines) and (suspected & ~cleared).any():
-        choice = auto.choose(control.take(~suspected | cleared), whole=False)
+        choice = auto.choose(control.take(~suspected | cleared), with_contained=False)
         if choice is None or not _is_parametric(choice.chosen):
             break
         further = suspected & ~cleared & _predicted_by(choice.chosen, control.features)
@@ -163,13 +164,13 @@ def _is_parametric(fitted: Fit) -> bool:
 
 def _without_probable(control: FitData, used: BoolArray) -> BoolArray:
     """Leave out points that are likelier blunders than right, the likeliest one first each time."""
-    kept = used.copy()
-    while (~kept).sum() < int(MOST * len(control)):
-        worst = Division(control, kept.copy()).likeliest_blunder()
+    retained = used.copy()
+    while (~retained).sum() < int(MAX_BLUNDER_SHARE * len(control)):
+        worst = Division(control, retained.copy()).likeliest_blunder()
         if worst is None:
             break
-        kept[worst] = False
-    return kept
+        retained[worst] = False
+    return retained
 
 
 def _predicted_by(chosen: Fit, features: FeatureSet) -> BoolArray:
@@ -179,10 +180,10 @@ def _predicted_by(chosen: Fit, features: FeatureSet) -> BoolArray:
         return np.zeros(len(features), dtype=bool)
     # The median of the sum of two squared normal variables is 2 ln 2.
     squares = chosen.held_out().squares
-    bound = STRAIN * np.sqrt(median(squares) / (2 * np.log(2)))
+    bound = MIN_STRAIN * np.sqrt(median(squares) / (2 * np.log(2)))
     if _is_parametric(chosen):
         # The test was of another model than the chosen one.
-        bound = max(bound, CLEAR * np.sqrt(squares.max()))
+        bound = max(bound, CLEAR_RATIO * np.sqrt(squares.max()))
     return np.asarray(_errors(chosen, features) <= bound)
 
 
@@ -197,7 +198,7 @@ def _errors(fitted: Fit, features: FeatureSet) -> FloatArray:
     return largest
 
 
-def judge_others(chosen: Fit, heights: bool, others: Points,
+def judge_others(chosen: Fit, heights: bool, other_points: Points,
                  memory: Memory) -> Suspects | None:
     """Return which of other points, that took no part, contradict all others, control or not.
 
@@ -205,31 +206,31 @@ def judge_others(chosen: Fit, heights: bool, others: Points,
     `find_blunders`, or without other points.
     """
     control, count = chosen.control, len(chosen.control.points)
-    if not len(others):
+    if not len(other_points):
         return None
-    every = FitData.of(control.with_(points=control.points.join(others)), heights)
-    there = np.zeros(len(every), dtype=bool)
-    there[count:count + len(others)] = True
+    all_features = FitData.of(control.with_(points=control.points.join(other_points)), heights)
+    is_other = np.zeros(len(all_features), dtype=bool)
+    is_other[count:count + len(other_points)] = True
     # Where control is scarce, the others tell more than it does. They begin with those it predicts.
-    used = ~there | _predicted_by(chosen, every.features)
-    return memory.recall((there.tobytes(), used.tobytes()), every,
-                         lambda: _contradicting(every, there, used))
+    used = ~is_other | _predicted_by(chosen, all_features.features)
+    return memory.recall((is_other.tobytes(), used.tobytes()), all_features,
+                         lambda: _contradictions(all_features, is_other, used))
 
 
-def _contradicting(every: FitData, there: BoolArray, used: BoolArray) -> Suspects | None:
-    """Return which of the features `there` contradict all others, beginning with those `used`."""
-    whole = cache(Division(every, ~np.zeros_like(there)).shrunken_test)
-    test = Division(every, used).shrunken_test()
-    core = _core(every, whole) if test is None else (used, test)
+def _contradictions(all_features: FitData, is_other: BoolArray, used: BoolArray) -> Suspects | None:
+    """Return which features that are other contradict all, beginning with those `used`."""
+    test_of_all = cache(Division(all_features, ~np.zeros_like(is_other)).shrunken_test)
+    test = Division(all_features, used).shrunken_test()
+    core = _core(all_features, test_of_all) if test is None else (used, test)
     if core is None:
         return None
-    used, test = _settled(every, *_forward(every, *core, whole))
-    blunders, decided = there & ~used, test.decided()
-    return test.suspects(blunders & decided, np.zeros_like(there), blunders & ~decided, there)
+    used, test = _judged_by_field(all_features, *_readmitted(all_features, *core, test_of_all))
+    blunders, decided = is_other & ~used, test.decided()
+    return test.suspects(blunders & decided, np.zeros_like(is_other), blunders & ~decided, is_other)
 
 
-def _core(control: FitData, whole: Whole,
-          tested: Tested = Division.shrunken_test) -> tuple[BoolArray, Test] | None:
+def _core(control: FitData, test_of_all: TestOfAll,
+          test_of: TestOf = Division.shrunken_test) -> tuple[BoolArray, Test] | None:
     """Return the features that remain where those that fit worst are set aside, and their test.
 
     None where they are too few for a test.
@@ -239,34 +240,35 @@ def _core(control: FitData, whole: Whole,
     """
     used = np.ones(len(control), dtype=bool)
     if len(control.features.lines):
-        used = _weighty(control, whole)
-        test = Division(control, used).shrunken_test() or whole()
+        used = _with_weight(control, test_of_all)
+        test = Division(control, used).shrunken_test() or test_of_all()
         return None if test is None else (used, test)
-    test = whole()
+    test = test_of_all()
     if test is None:
         return None
-    core = len(control) - int(MOST * len(control))
+    core = len(control) - int(MAX_BLUNDER_SHARE * len(control))
     while used.sum() > core:
-        left = int(used.sum()) - core
-        count = max(1, int(STEP * left), min(left, int(LEAST_STEP * len(control))))
+        to_set_aside = int(used.sum()) - core
+        count = max(1, int(STEP_SHARE * to_set_aside),
+                    min(to_set_aside, int(MIN_STEP_SHARE * len(control))))
         worst = np.argsort(-np.where(used, test.strain, -1.0), kind="stable")[:count]
         fewer = used.copy()
         fewer[worst] = False
-        nearer = tested(Division(control, fewer))
-        if nearer is None:
+        test_of_fewer = test_of(Division(control, fewer))
+        if test_of_fewer is None:
             break
-        used, test = fewer, nearer
+        used, test = fewer, test_of_fewer
     return used, test
 
 
-def _weighty(control: FitData, whole: Whole) -> BoolArray:
+def _with_weight(control: FitData, test_of_all: TestOfAll) -> BoolArray:
     """Return the features that have weight under a robust quadratic polynomial."""
-    weightless, most = _weightless(control), int(MOST * len(control))
-    if weightless is not None and weightless.sum() <= most:
+    weightless, max_blunders = _weightless(control), int(MAX_BLUNDER_SHARE * len(control))
+    if weightless is not None and weightless.sum() <= max_blunders:
         return ~weightless
-    used, test = np.ones(len(control), dtype=bool), whole()
+    used, test = np.ones(len(control), dtype=bool), test_of_all()
     if test is not None:
-        used[np.argsort(-test.strain, kind="stable")[:most]] = False
+        used[np.argsort(-test.strain, kind="stable")[:max_blunders]] = False
     return used
 
 
@@ -282,53 +284,54 @@ def _weightless(control: FitData) -> BoolArray | None:
     return weightless
 
 
-def _forward(control: FitData, used: BoolArray, test: Test, whole: Whole,
-             tested: Tested = Division.shrunken_test) -> tuple[BoolArray, Test]:
+def _readmitted(control: FitData, used: BoolArray, test: Test, test_of_all: TestOfAll,
+                test_of: TestOf = Division.shrunken_test) -> tuple[BoolArray, Test]:
     """Admit features again that those in use predict; leave out those they no longer do."""
-    n, seen = len(control), set[bytes]()
+    n, earlier_sets = len(control), set[bytes]()
     # A set of features that comes back would come back for ever.
-    while used.tobytes() not in seen:
-        seen.add(used.tobytes())
-        out = ~used & test.far(n) & test.decided()
+    while used.tobytes() not in earlier_sets:
+        earlier_sets.add(used.tobytes())
+        still_out = ~used & test.far(n) & test.decided()
         if not used.all():
             # The closest features understate the noise.
             strain = test.strain * np.sqrt(_consistency(used.sum() / n))
             chance = chance_of(strain**2, max(2 * int(used.sum()) - 8, 2))
-            out &= (chance < UNLIKELY / n) & (strain > STRAIN)
-        back = np.flatnonzero(~used & ~out)
-        now = used.copy()
-        if back.size:
-            likeliest = back[np.argsort(test.strain[back], kind="stable")]
-            now[likeliest[:max(1, back.size // 2, int(LEAST_STEP * n))]] = True
+            still_out &= (chance < FALSE_ALARM / n) & (strain > MIN_STRAIN)
+        admissible = np.flatnonzero(~used & ~still_out)
+        next_used = used.copy()
+        if admissible.size:
+            likeliest = admissible[np.argsort(test.strain[admissible], kind="stable")]
+            next_used[likeliest[:max(1, admissible.size // 2, int(MIN_STEP_SHARE * n))]] = True
         else:
-            bad = np.flatnonzero(used & test.far(n) & test.decided())
-            if bad.size and (~used).sum() < int(MOST * n):
-                now[bad[np.argmax(test.strain[bad])]] = False
-        if (now == used).all():
+            blunders_in_use = np.flatnonzero(used & test.far(n) & test.decided())
+            if blunders_in_use.size and (~used).sum() < int(MAX_BLUNDER_SHARE * n):
+                next_used[blunders_in_use[np.argmax(test.strain[blunders_in_use])]] = False
+        if (next_used == used).all():
             break
-        nearer = whole() if now.all() else tested(Division(control, now))
-        if nearer is None:
+        next_test = test_of_all() if next_used.all() else test_of(Division(control, next_used))
+        if next_test is None:
             break
-        used, test = now, nearer
+        used, test = next_used, next_test
     return used, test
 
 
-def _settled(control: FitData, used: BoolArray, test: Test) -> tuple[BoolArray, Test]:
+def _judged_by_field(control: FitData, used: BoolArray, test: Test) -> tuple[BoolArray, Test]:
     """Judge again by a random field, where the points in use call for one.
 
     Local deformation is no blunder, and what is small next to the error of a polynomial may be
     one.
     """
-    n, seen = len(control), set[bytes]()
-    while used.tobytes() not in seen and (~used).sum() <= MOST * n:
-        seen.add(used.tobytes())
-        nearer = Division(control, used).local_test()
-        if nearer is None:
+    n, earlier_sets = len(control), set[bytes]()
+    while used.tobytes() not in earlier_sets and (~used).sum() <= MAX_BLUNDER_SHARE * n:
+        earlier_sets.add(used.tobytes())
+        field_test = Division(control, used).local_test()
+        if field_test is None:
             break
-        test = nearer
+        test = field_test
         far = test.far(n) & test.decided()
-        out = used & far & (test.strain >= np.max(test.strain, where=used & far, initial=0.0) / 2)
-        used = (used & ~out) | (~used & ~far)
+        excluded = used & far & (test.strain
+                                 >= np.max(test.strain, where=used & far, initial=0.0) / 2)
+        used = (used & ~excluded) | (~used & ~far)
     return used, test
 
 

@@ -74,10 +74,10 @@ def compare(observations: Observations, auto: Auto, choice: Choice | None = None
     `Auto.choose_features`: all are then fitted to the features that it chooses. By default it is
     that of `Auto.choose`.
     """
-    both = observations.pool
-    choice = choice or auto.choose(both)
-    if choice and choice.chosen.control is not both.features:
-        both = FitData.of(choice.chosen.control, both.heights)
+    data = observations.pool
+    choice = choice or auto.choose(data)
+    if choice and choice.chosen.control is not data.features:
+        data = FitData.of(choice.chosen.control, data.heights)
     fits: dict[str, tuple[Fit, float | None]] = {}
     if choice:
         fits = {method_of(fitted).name: (fitted, finite_or_none(fitted.held_out_rmse))
@@ -87,16 +87,16 @@ def compare(observations: Observations, auto: Auto, choice: Choice | None = None
     for method in auto.methods:
         name = method.name
         if method in ROBUST or (
-                name not in fits and auto.ask(method, "declines", both) is not None):
+                name not in fits and auto.ask(method, "declines", data) is not None):
             continue
-        model = auto.ask(method, "model", both.heights)
+        model = auto.ask(method, "model", data.heights)
         if name not in fits and not method.for_few and isinstance(model, RationalModel):
-            fitted = auto.ask(method, "fit", both)
+            fitted = auto.ask(method, "fit", data)
             if fitted is not None and (not fitted.estimator.least_squares
                                        or fitted.adjustment.redundancy > 0):
                 fits[name] = fitted, None
                 refused[name] = refusal(fitted)
-        size = auto.ask(method, "size", both.heights) or np.inf
+        size = auto.ask(method, "size", data.heights) or np.inf
         if name in fits:
             rows.append((name, *fits[name]))
         elif np.isfinite(size) and not method.for_few:
@@ -112,15 +112,15 @@ def compare_robustly(observations: Observations, auto: Auto,
     These are M-estimators, and the method that is chosen without the blunders. Where there are
     some, it is the reference.
     """
-    both = observations.pool
+    data = observations.pool
     comparison = compare(observations, auto)
-    robust = ((method.name, auto.ask(method, "fit", both)) for method in ROBUST
-              if method.model(both.heights))
+    robust = ((method.name, auto.ask(method, "fit", data)) for method in ROBUST
+              if method.model(data.heights))
     rows = (*comparison.rows, *(
         (name, fitted, None) for name, fitted in robust
         if fitted is not None and fitted.adjustment.redundancy >= 1))
-    is_blunder = np.isin(both.features.ids, list(blunders))
-    choice = auto.choose(both.take(~is_blunder)) if is_blunder.any() else None
+    is_blunder = np.isin(data.features.ids, list(blunders))
+    choice = auto.choose(data.take(~is_blunder)) if is_blunder.any() else None
     if choice is None:
         return replace(comparison, rows=rows)
     chosen = choice.chosen

@@ -17,8 +17,8 @@ from termsel.adjustment.bayesian.line_posterior import line_posterior
 from termsel.adjustment.bayesian.posterior import Posterior, posterior, scales_of
 from termsel.adjustment.equations import weights_of
 from termsel.adjustment.lines import row_weights
-from termsel.auto.local import LIKELY
-from termsel.auto.rule import BETTER
+from termsel.auto.local import FIELD_CALLED_FOR
+from termsel.auto.rule import PRIOR_MARGIN
 from termsel.auto.validated import gain_of
 from termsel.data.features import BoolArray, FloatArray, IntArray
 from termsel.data.fit_data import FitData
@@ -27,27 +27,27 @@ from termsel.fitting.fit import Undetermined
 from termsel.fitting.method import Method, Suspects
 from termsel.models.polynomial import Polynomial, Polynomial2D, Polynomial3D
 
-UNLIKELY = 1e-3
+FALSE_ALARM = 1e-3
 """Chance of naming any point where there is no blunder, under normal errors."""
 
-STRAIN = 4.0
+MIN_STRAIN = 4.0
 """Standard deviations of a prediction that an error must exceed: real errors are not normal, and no
 model is exact."""
 
-ALLOWANCE = 1.0
+STRAIN_PER_SPREAD = 1.0
 """Standard deviations it must exceed for each standard deviation of the noise that the prediction
 has, on account of the form of the model."""
 
-ROUNDING = 1e-6
+NEGLIGIBLE_ERROR = 1e-6
 """Errors that are none [px]."""
 
-LOOK = 2.0
+LOOK_STRAIN = 2.0
 """Standard deviations within which an error says nothing of a blunder, and is not looked at."""
 
-COMPARED = 1000
+MAX_COMPARED_POINTS = 1000
 """Points by which the quadratic and the cubic polynomial are compared, about; more decide alike."""
 
-UNUSED = 1e-3
+UNUSED_WEIGHT = 1e-3
 """Weight at which a point has no influence and is predicted all the same."""
 
 
@@ -56,38 +56,39 @@ class Test:
     """What features in use predict for all features."""
 
     errors: FloatArray  # (n,): largest in line or sample, or of a vertex off its line [px]
-    chance: FloatArray  # (n,): of an error as large
+    probability: FloatArray  # (n,): of an error as large
     strain: FloatArray  # (n,): the error in standard deviations
     spread: FloatArray  # (n,): standard deviation of the prediction by that of the noise
     noise: float  # [px]
     freedom: int  # degrees of freedom of the noise
     squares: FloatArray  # of the errors of features in use
-    local: bool = False  # whether a random field predicts
+    by_field: bool = False  # whether a random field predicts
 
     def far(self, n: int) -> BoolArray:
         """Return the features whose error is beyond chance."""
-        return (self.chance < UNLIKELY / n) & (self.strain > STRAIN) & (self.errors > ROUNDING)
+        return (self.probability
+                < FALSE_ALARM / n) & (self.strain > MIN_STRAIN) & (self.errors > NEGLIGIBLE_ERROR)
 
     def decided(self) -> BoolArray:
         """Return the features whose error exceeds what their place allows."""
-        return self.strain > ALLOWANCE * self.spread
+        return self.strain > STRAIN_PER_SPREAD * self.spread
 
     def suspects(self, blunders: BoolArray, probable: BoolArray, undecided: BoolArray,
-                 which: BoolArray) -> Suspects:
+                 judged: BoolArray) -> Suspects:
         """Return what is found of some of the features."""
         # Where `chance_of` is that: of normal errors one is as large at any of these features.
-        least = np.sqrt(self.freedom / 2
-                         * ((UNLIKELY / which.sum()) ** (-2 / self.freedom) - 1))
-        strain = np.maximum(max(STRAIN, float(least)), ALLOWANCE * self.spread)
-        return Suspects(blunders[which], probable[which], undecided[which], self.errors[which],
-                        np.maximum(strain * self.spread * self.noise, ROUNDING)[which])
+        threshold = np.sqrt(self.freedom / 2
+                         * ((FALSE_ALARM / judged.sum()) ** (-2 / self.freedom) - 1))
+        strain = np.maximum(max(MIN_STRAIN, float(threshold)), STRAIN_PER_SPREAD * self.spread)
+        return Suspects(blunders[judged], probable[judged], undecided[judged], self.errors[judged],
+                        np.maximum(strain * self.spread * self.noise, NEGLIGIBLE_ERROR)[judged])
 
 
 @dataclass(frozen=True, eq=False)
 class Division:
     """Features, of which those `used` (n,) predict all."""
 
-    every: FitData
+    all_features: FitData
     used: BoolArray
 
     @cached_property
@@ -96,14 +97,15 @@ class Division:
 
         Points are tested in their own coordinates, whatever those of the fit.
         """
-        features = self.every.features
+        features = self.all_features.features
         if not features.fit_crs or len(features.lines):
-            return self.every.take(self.used)
-        return FitData.of(replace(features, fit_crs="").take(self.used), self.every.heights)
+            return self.all_features.take(self.used)
+        return FitData.of(replace(features, fit_crs="").take(self.used), self.all_features.heights)
 
     @property
-    def _collocated(self) -> GaussianProcess | None:
-        return fit_gaussian_process(self.in_use.scaled.points, 3 if self.every.heights else 2)
+    def _gaussian_process(self) -> GaussianProcess | None:
+        return fit_gaussian_process(self.in_use.scaled.points,
+                                    3 if self.all_features.heights else 2)
 
     def test(self) -> Test | None:
         """Return what the features in use predict, by a random field where points call for it.
@@ -114,41 +116,41 @@ class Division:
 
     def local_test(self) -> Test | None:
         """Return what points in use predict by a random field; None where they call for none."""
-        if len(self.every.features.lines):
+        if len(self.all_features.features.lines):
             return None
-        found = self._collocated
-        if found is None or found.probability <= LIKELY:
+        process = self._gaussian_process
+        if process is None or process.probability <= FIELD_CALLED_FOR:
             return None
-        points = self.every.features.points
+        points = self.all_features.features.points
         scaling = self.in_use.scaling
         used = self.used
         scaled = scaling.points(points)
-        variance, unit = found.spread(scaled.ground)
+        variance, unit = process.spread(scaled.ground)
         noise = unit / weights_of(points) ** 2
-        errors = scaled.image - found.predict(scaled.ground)
+        errors = scaled.image - process.predict(scaled.ground)
         statistic = (errors**2 / (variance + noise)).sum(axis=1) / 2
-        freedom = found.solutions[0].posterior.freedom
+        freedom = process.solutions[0].posterior.freedom
         rows = np.stack([*np.abs(errors.T), chance_of(statistic, freedom), np.sqrt(statistic),
                          np.sqrt((1 + variance / noise).max(axis=1))], axis=1)
         # A point in use is predicted by the others: its own measurement would hide its error.
-        rows[used] = _rows(found.held_out)
+        rows[used] = _figures(process.held_out)
         rows[used, :2] /= weights_of(self.in_use.features.points)
         pixels = rows[:, :2] * scaling.image_scale
         return Test(np.abs(pixels).max(axis=1), rows[:, 2], rows[:, 3], rows[:, 4],
                     float(np.sqrt(unit[0])) * scaling.image_scale, freedom,
-                    (pixels[used] ** 2).sum(axis=1), local=True)
+                    (pixels[used] ** 2).sum(axis=1), by_field=True)
 
     def shrunken_test(self) -> Test | None:
         """Return what the features in use predict, by the regularised polynomial of degree 2 or 3.
 
         None where they are too few.
         """
-        if len(self.every.features.lines):
+        if len(self.all_features.features.lines):
             return _better(*(_test_of_lines(self, degree) for degree in (2, 3)))
-        one = _better(*(_of_points(self, degree) for degree in (2, 3)))
-        return one.test() if one else None
+        prediction = _better(*(_prediction_of_points(self, degree) for degree in (2, 3)))
+        return prediction.test() if prediction else None
 
-    def test_by(self, projection: Method) -> Test | None:
+    def test_by_projection(self, projection: Method) -> Test | None:
         """Return what a central projection of the points in use predicts.
 
         With the leverage h of a point in use and its residual r, the others predict it with the
@@ -159,7 +161,7 @@ class Division:
             fitted = projection.fit(self.in_use)
         except Undetermined:
             return None
-        points = self.every.features.points
+        points = self.all_features.features.points
         used = self.used
         spread = fitted.estimator.spread(fitted, fitted.scaling.ground(points.ground))
         weights = weights_of(points)
@@ -168,18 +170,18 @@ class Division:
         errors = fitted.errors(points)
         if freedom <= 2 or not np.isfinite(share).all() or not np.isfinite(errors).all():
             return None
-        free = np.maximum(1.0 - np.minimum(share, 1.0), ROUNDING)
+        redundancy = np.maximum(1.0 - np.minimum(share, 1.0), NEGLIGIBLE_ERROR)
         squares = errors**2 * weights**2
         total = float(squares[used].sum())
         noise = np.full(len(points), total / freedom)
         # Without a point the squares fall by r^2 / (1 - h), and the freedom by two.
-        noise[used] = (np.maximum(total - (squares / free).sum(axis=1), ROUNDING**2)
+        noise[used] = (np.maximum(total - (squares / redundancy).sum(axis=1), NEGLIGIBLE_ERROR**2)
                        / (freedom - 2))[used]
-        errors[used] /= free[used]
-        grown = np.where(used[:, None], 1.0 / free, 1.0 + share)
-        statistic = (errors**2 * weights**2 / grown).sum(axis=1) / 2 / noise
+        errors[used] /= redundancy[used]
+        relative_variance = np.where(used[:, None], 1.0 / redundancy, 1.0 + share)
+        statistic = (errors**2 * weights**2 / relative_variance).sum(axis=1) / 2 / noise
         return Test(np.abs(errors).max(axis=1), chance_of(statistic, freedom - 2),
-                    np.sqrt(statistic), np.sqrt(grown.max(axis=1)),
+                    np.sqrt(statistic), np.sqrt(relative_variance.max(axis=1)),
                     float(np.sqrt(total / freedom)), freedom, (errors[used]**2).sum(axis=1))
 
     def likeliest_blunder(self) -> int | None:
@@ -188,26 +190,28 @@ class Division:
         None if none is likelier a blunder than right. Beforehand one point of all is believed to be
         one.
         """
-        found = self._collocated
-        if found is None:
+        process = self._gaussian_process
+        if process is None:
             return None
-        large = np.abs(found.errors).max(axis=1) * self.in_use.scaling.image_scale > ROUNDING
-        looked_at = np.flatnonzero(large & (found.held_out.statistic > LOOK**2))
-        if not looked_at.size:
+        large = np.abs(
+            process.errors).max(axis=1) * self.in_use.scaling.image_scale > NEGLIGIBLE_ERROR
+        doubtful = np.flatnonzero(large & (process.held_out.statistic > LOOK_STRAIN**2))
+        if not doubtful.size:
             return None
-        odds = found.blunder_odds(looked_at)
+        odds = process.blunder_odds(doubtful)
         likely = odds.max() > np.log(len(self.in_use) - 1)
-        return int(np.flatnonzero(self.used)[looked_at[odds.argmax()]]) if likely else None
+        return int(np.flatnonzero(self.used)[doubtful[odds.argmax()]]) if likely else None
 
 
-_One = TypeVar("_One", Test, "_OfPoints")
+_Squares = TypeVar("_Squares", Test, "_PointPrediction")
 
 
-def _better(quadratic: _One | None, cubic: _One | None) -> _One | None:
+def _better(quadratic: _Squares | None, cubic: _Squares | None) -> _Squares | None:
     """Return the cubic if its squared errors are clearly smaller, else the quadratic."""
     if quadratic is None or cubic is None:
         return cubic or quadratic
-    return cubic if gain_of(cubic.squares, quadratic.squares, ROUNDING) > BETTER else quadratic
+    gain = gain_of(cubic.squares, quadratic.squares, NEGLIGIBLE_ERROR)
+    return cubic if gain > PRIOR_MARGIN else quadratic
 
 
 def polynomial_of(heights: bool, degree: int) -> Polynomial:
@@ -215,13 +219,13 @@ def polynomial_of(heights: bool, degree: int) -> Polynomial:
 
 
 @dataclass(frozen=True, eq=False)
-class _OfPoints:
+class _PointPrediction:
     """What a regularised polynomial of the points in use predicts for all points.
 
-    `order` is that of the points in `found`: those in use come first.
+    `order` is that of the points in `posterior`: those in use come first.
     """
 
-    found: Posterior
+    posterior: Posterior
     order: IntArray
     weights: FloatArray
     image_scale: float
@@ -229,63 +233,67 @@ class _OfPoints:
     @cached_property
     def squares(self) -> FloatArray:
         """Squared errors of the points in use, of many some, each by the others, shape (m,)."""
-        some = slice(0, self.found.in_use, -(-self.found.in_use // COMPARED))
-        errors = (self.found.held_out if some.step == 1 else self.found.held_out_of(some)).errors
-        return np.asarray(((errors / self.weights[self.order[some]]
+        sample = slice(0, self.posterior.in_use, -(-self.posterior.in_use // MAX_COMPARED_POINTS))
+        errors = (self.posterior.held_out
+                  if sample.step == 1 else self.posterior.held_out_of(sample)).errors
+        return np.asarray(((errors / self.weights[self.order[sample]]
                             * self.image_scale) ** 2).sum(axis=1))
 
     def test(self) -> Test:
         """Return the test: points that are not in use are looked at here alone."""
-        found = self.found
+        posterior = self.posterior
         rows = np.empty((len(self.order), 5))
         rows[self.order] = np.concatenate(
-            [_rows(found.held_out), _rows(found.predict_unused(UNUSED))])
+            [_figures(posterior.held_out), _figures(posterior.predict_unused(UNUSED_WEIGHT))])
         pixels = rows[:, :2] / self.weights * self.image_scale
-        noise = float(np.sqrt(found.cells.share @ found.square / found.freedom))
+        noise = float(np.sqrt(posterior.cells.share @ posterior.square / posterior.freedom))
         return Test(np.abs(pixels).max(axis=1), rows[:, 2], rows[:, 3], rows[:, 4],
-                    noise * self.image_scale, found.freedom,
-                    (pixels[self.order[:found.in_use]] ** 2).sum(axis=1))
+                    noise * self.image_scale, posterior.freedom,
+                    (pixels[self.order[:posterior.in_use]] ** 2).sum(axis=1))
 
 
-def _of_points(division: Division, degree: int) -> _OfPoints | None:
-    points = division.every.features.points
+def _prediction_of_points(division: Division, degree: int) -> _PointPrediction | None:
+    points = division.all_features.features.points
     used = division.used
     scaling = division.in_use.scaling
     scaled = scaling.points(points)
-    exponents = polynomial_of(division.every.heights, degree).exponents
+    exponents = polynomial_of(division.all_features.heights, degree).exponents
     powers = np.array(exponents).sum(axis=1)
     weights = weights_of(points)
     order = np.argsort(~used, kind="stable")
-    found = posterior(monomials(scaled.ground[order], exponents), scaled.image[order], powers,
-                      (weights * np.where(used, 1.0, UNUSED)[:, None])[order],
-                      scales_of(np.array(exponents)[powers > 1]), int(used.sum()))
-    return None if found is None else _OfPoints(found, order, weights, scaling.image_scale)
+    posterior_of_points = posterior(monomials(scaled.ground[order],
+                                              exponents), scaled.image[order], powers,
+                                    (weights * np.where(used, 1.0, UNUSED_WEIGHT)[:, None])[order],
+                                    scales_of(np.array(exponents)[powers > 1]), int(used.sum()))
+    return None if posterior_of_points is None else _PointPrediction(posterior_of_points, order,
+                                                                     weights, scaling.image_scale)
 
 
 def _test_of_lines(division: Division, degree: int) -> Test | None:
     """Test points and lines, without factors of single terms: many tests are made."""
-    control = division.every
+    control = division.all_features
     used = division.used
     scaling = division.in_use.scaling
     scaled = scaling.features(control.features)
     model = polynomial_of(control.heights, degree)
     equations = model.equations(scaled)
-    weights = np.where(used, 1.0, UNUSED)[equations.feature]
-    found = line_posterior(
+    weights = np.where(used, 1.0, UNUSED_WEIGHT)[equations.feature]
+    posterior_of_lines = line_posterior(
         replace(equations, A=equations.A * weights[:, None], b=equations.b * weights),
         model.exponents, 0, int((weights == 1.0).sum()))
-    if found is None:
+    if posterior_of_lines is None:
         return None
-    one = found.predictions(np.where(used, 1.0, UNUSED))
-    pixels = one.errors / row_weights(scaled, heights=control.heights) * scaling.image_scale
+    predictions = posterior_of_lines.predictions(np.where(used, 1.0, UNUSED_WEIGHT))
+    pixels = predictions.errors / row_weights(scaled, heights=control.heights) * scaling.image_scale
     largest, squares = np.zeros((2, len(control)))
     np.maximum.at(largest, equations.feature, np.abs(pixels))
     np.add.at(squares, equations.feature, pixels**2)
-    return Test(largest, one.probability, one.strain, one.spread, found.noise * scaling.image_scale,
-                found.freedom, squares[used])
+    return Test(largest, predictions.probability, predictions.strain, predictions.spread,
+                posterior_of_lines.noise * scaling.image_scale, posterior_of_lines.freedom,
+                squares[used])
 
 
-def _rows(one: HeldOutPredictions) -> FloatArray:
+def _figures(predictions: HeldOutPredictions) -> FloatArray:
     """Return errors of points in line and sample, chance, strain and spread, shape (m, 5)."""
-    return np.stack([*one.errors.T, one.probability, np.sqrt(one.statistic),
-                     np.sqrt(one.spread.max(axis=1))], axis=1)
+    return np.stack([*predictions.errors.T, predictions.probability, np.sqrt(predictions.statistic),
+                     np.sqrt(predictions.spread.max(axis=1))], axis=1)

@@ -13,15 +13,15 @@ from termsel.data.fit_data import FitData
 from termsel.fitting.fit import Fit, HeldOut, Undetermined
 from termsel.fitting.method import Method
 
-CORNERS = 4
+EXACT_PROJECTIVE_POINTS = 4
 """Number of points that a projective transformation fits exactly."""
 
-OBLIQUE = 0.02
+OBLIQUE_RMSE = 0.02
 """RMSE of an affine transformation of four points, by the half extent of the image, from which on
 they show an oblique view."""
 
 
-def exact(data: FitData) -> Choice:
+def minimal_fit(data: FitData) -> Choice:
     """Return what two or three features determine: a similarity, or an affine polynomial.
 
     Raises Undetermined if three points lie on a line, or lines are parallel.
@@ -34,7 +34,7 @@ def exact(data: FitData) -> Choice:
                   f"{count} {data.features.word} determine it exactly.")
 
 
-def exact_view(data: FitData, choice: Choice, auto: Auto) -> Choice:
+def minimal_view(data: FitData, choice: Choice, auto: Auto) -> Choice:
     """Return the projection that four points determine, where nothing else fits.
 
     An affine transformation of four points leaves what a map or a vertical photo may leave; where
@@ -42,7 +42,8 @@ def exact_view(data: FitData, choice: Choice, auto: Auto) -> Choice:
     of a camera without distortion where there is one, and else a projective transformation of the
     plane. Otherwise the choice is returned.
     """
-    if len(data) != CORNERS or len(data.features.points) != CORNERS or choice.method.from_one:
+    if len(data) != EXACT_PROJECTIVE_POINTS or len(
+            data.features.points) != EXACT_PROJECTIVE_POINTS or choice.method.from_one:
         return choice
     plane = replace(data, heights=False)
     projective = named("projective")
@@ -52,22 +53,23 @@ def exact_view(data: FitData, choice: Choice, auto: Auto) -> Choice:
     except Undetermined:
         return choice
     assert residuals is not None
-    shows_oblique_view = residuals.total >= OBLIQUE * data.scaling.image_scale
+    shows_oblique_view = residuals.total >= OBLIQUE_RMSE * data.scaling.image_scale
     camera = named("pinhole")
-    seen = auto.validated(camera, data) if camera in auto.offered(data) else None
-    if seen is not None and shows_oblique_view:
-        return Choice(_without_redundancy(camera, seen), choice.compared,
-                      f"{CORNERS} points leave one equation of it. An affine polynomial leaves "
-                      f"{residuals.total:.3g} px of them, more than a map or a vertical photo "
-                      "does.")
+    camera_fit = auto.validated(camera, data) if camera in auto.offered(data) else None
+    if camera_fit is not None and shows_oblique_view:
+        return Choice(
+            _without_redundancy(camera, camera_fit), choice.compared,
+            f"{EXACT_PROJECTIVE_POINTS} points leave one equation of it. An affine polynomial "
+            f"leaves {residuals.total:.3g} px of them, more than a map or a vertical photo does.")
     denominators = fitted.model.denominators(fitted.adjustment.coefficients,
                                              fitted.scaled_control.points.ground)
     assert denominators is not None
     if not shows_oblique_view or (denominators <= 0.0).any():
         return choice
-    return Choice(_without_redundancy(projective, fitted), choice.compared,
-                  f"{CORNERS} points determine it exactly. An affine polynomial leaves "
-                  f"{residuals.total:.3g} px of them, more than a map or a vertical photo does.")
+    return Choice(
+        _without_redundancy(projective, fitted), choice.compared,
+        f"{EXACT_PROJECTIVE_POINTS} points determine it exactly. An affine polynomial leaves "
+        f"{residuals.total:.3g} px of them, more than a map or a vertical photo does.")
 
 
 def _without_redundancy(method: Method, fitted: Fit) -> Fit:

@@ -14,20 +14,20 @@ from termsel.fitting.fit import Estimator, Fit, HeldOut, Undetermined
 from termsel.fitting.least_squares import LeastSquares
 from termsel.models.base import SensorModel
 
-LIKELY = 0.75
+FIELD_CALLED_FOR = 0.75
 """Probability of a random field beyond which points call for it: odds of three to one, beyond
 which the evidence is positive (Kass and Raftery 1995, J. Am. Stat. Assoc. 90)."""
 
-EXCLUDED = 0.05
+FIELD_EXCLUDED = 0.05
 """Probability up to which parts of many points are not asked for a field either."""
 
 
-def asked_of(found: GaussianProcess) -> float:
+def required_probability(process: GaussianProcess) -> float:
     """Return the probability of a random field beyond which points call for it.
 
     Of few points without heights, up to `field.SURE`, any: they tell too little to choose by.
     """
-    return LIKELY * (1.0 - found.spline_weight)
+    return FIELD_CALLED_FOR * (1.0 - process.spline_weight)
 
 
 def interpolated(model: SensorModel, control: FeatureSet, scaling: Scaling) -> Interpolation | None:
@@ -48,25 +48,26 @@ class Interpolated(Estimator):
             used: BoolArray) -> Fit:
         """Fit a model (see `Estimator.fit`)."""
         points_alone(control, used, "an interpolation")
-        found = interpolated(model, control.take(used), scaling)
-        if found is None:
+        interpolation = interpolated(model, control.take(used), scaling)
+        if interpolation is None:
             raise Undetermined(f"{used.sum()} control points are too few to interpolate by",
                                hint="Measure more control, spread over the area.")
-        if isinstance(found, GaussianProcess) and found.probability <= asked_of(found):
+        if isinstance(interpolation, GaussianProcess
+                      ) and interpolation.probability <= required_probability(interpolation):
             raise Undetermined("the points do not support a random field: its probability is "
-                               f"{found.probability:.2g}", hint="Choose a polynomial.")
+                               f"{interpolation.probability:.2g}", hint="Choose a polynomial.")
         plain = LeastSquares(iterated=False).fit(model, control, scaling, terms, used)
-        errors = found.errors * scaling.image_scale
+        errors = interpolation.errors * scaling.image_scale
         unknown = np.full(len(terms), np.nan)
-        return replace(plain, estimator=self, trace=found.effective,
+        return replace(plain, estimator=self, trace=interpolation.effective,
                        stored_held_out=HeldOut.of(errors, control.take(used)),
                        adjustment=replace(plain.adjustment, deviations=unknown,
                                           correlations=None))
 
 
-def points_alone(control: FeatureSet, used: BoolArray, what: str) -> Points:
+def points_alone(control: FeatureSet, used: BoolArray, taker: str) -> Points:
     """Return the points in use (n,), and refuse lines for what does not take them, in words."""
     if len(control.lines):
-        raise Undetermined(f"{what} takes control points alone, and there are control lines",
+        raise Undetermined(f"{taker} takes control points alone, and there are control lines",
                            hint="Leave the lines out, or choose another model.")
     return control.points.take(used)

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 from termsel.data.fit_data import FitData
 
-KEPT = 16
+MAX_ANSWERS = 16
 """How much is kept, the last used: verdicts and errors, a few numbers for each feature."""
 
 _T = TypeVar("_T")
@@ -29,11 +29,11 @@ class Memory:
 
     Parameters
     ----------
-    kept : int
+    max_answers : int
         How many answers are kept, the last used.
     """
 
-    kept: int = KEPT
+    max_answers: int = MAX_ANSWERS
     _answers: dict[Hashable, tuple[Any]] = field(default_factory=dict, init=False, repr=False)
 
     def recall(self, question: Hashable, data: FitData, find: Callable[[], _T],
@@ -50,15 +50,15 @@ class Memory:
         key = question, checksum
         answer = self._answers.pop(key, None)  # put to the end; each step is one for all threads
         if answer is None:
-            before = faults()
+            faults_before = faults()
             answer = (find(),)
-            if faults() > before:
+            if faults() > faults_before:
                 return answer[0]
         self._answers[key] = answer
-        while len(self._answers) > self.kept:
+        while len(self._answers) > self.max_answers:
             self._answers.pop(list(self._answers)[0], None)  # noqa: RUF015 (threads may add)
         return answer[0]
 
     def __reduce__(self) -> tuple[type[Memory], tuple[int]]:
         # Another process finds its own answers.
-        return Memory, (self.kept,)
+        return Memory, (self.max_answers,)

@@ -7,9 +7,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from termsel.adjustment.bayesian.field import GaussianProcess
-from termsel.auto.local import EXCLUDED, LIKELY, Interpolated, asked_of, interpolated
-from termsel.auto.physical import CHOSEN, FEWEST, Physical, averaged_of
-from termsel.auto.pinhole import MOST, PinholeCamera, call_for_camera, may_be_oblique
+from termsel.auto.local import (
+    FIELD_CALLED_FOR,
+    FIELD_EXCLUDED,
+    Interpolated,
+    interpolated,
+    required_probability,
+)
+from termsel.auto.physical import (
+    PHYSICAL_MAX_CHOSEN,
+    PHYSICAL_MIN_POINTS,
+    Physical,
+    camera_average_of,
+)
+from termsel.auto.pinhole import PINHOLE_MAX_POINTS, PinholeCamera, call_for_camera, may_be_oblique
 from termsel.auto.ridge import RidgeByOrder
 from termsel.auto.robust import Reweighted
 from termsel.auto.selected import ForwardSelection
@@ -102,9 +113,9 @@ class _OfCamera(Structure):
                                "distortion",
                                hint="Choose another model, such as dlt or projective.")
         # With heights wherever they differ: the camera knows what they do.
-        known = not control.features.without_height()
+        heights_known = not control.features.without_height()
         return super().fit(
-            replace(control, heights=known and is_off_plane(control.scaled.points)))
+            replace(control, heights=heights_known and is_off_plane(control.scaled.points)))
 
     def refit(self, fitted: Fit, control: FitData) -> Fit:
         """Return the camera of other points that is next to that of a fit."""
@@ -132,21 +143,22 @@ class _WithField(Structure):
         """Return whether the field is not all but excluded, so that parts may call for it."""
         model = self.model(data.heights)
         assert model is not None
-        found = interpolated(model, data.features, data.scaling)
-        return isinstance(found, GaussianProcess) and found.probability > EXCLUDED
+        process = interpolated(model, data.features, data.scaling)
+        return isinstance(process, GaussianProcess) and process.probability > FIELD_EXCLUDED
 
     def describe(self, fitted: Fit) -> str:
         """Return the probability of the field."""
-        found = fitted.interpolation
-        assert isinstance(found, GaussianProcess)
-        if found.spline_weight > 0.0 and found.probability <= LIKELY:
+        process = fitted.interpolation
+        assert isinstance(process, GaussianProcess)
+        if process.spline_weight > 0.0 and process.probability <= FIELD_CALLED_FOR:
             return (f"{self.label} is an average: so few points cannot decide between "
                     "polynomials, fields, a spline and an affine image. The probability of local "
                     "deformation is "
-                    f"{found.probability:.3g}.")
-        asked = f"; it must exceed {asked_of(found):g}" * (found.spline_weight == 0.0)
+                    f"{process.probability:.3g}.")
+        requirement = f"; it must exceed {required_probability(process):g}" * (process.spline_weight
+                                                                               == 0.0)
         return (f"{self.label} is used: the probability of local deformation is "
-                f"{found.probability:.3g}{asked}.")
+                f"{process.probability:.3g}{requirement}.")
 
 
 class _WithPhysics(Structure):
@@ -161,10 +173,11 @@ class _WithPhysics(Structure):
 
     def describe(self, fitted: Fit) -> str:
         """Return what called for the prior."""
-        odds = "three" if fitted.used.sum() <= FEWEST else "twenty"
-        return (f"{self.label} is called for: a known kind of camera, most likely "
-                f"{averaged_of(fitted).kind}, is more than {odds} times as likely as an image of "
-                "which nothing is known.")
+        odds = "three" if fitted.used.sum() <= PHYSICAL_MIN_POINTS else "twenty"
+        return (
+            f"{self.label} is called for: a known kind of camera, most likely "
+            f"{camera_average_of(fitted).kind}, is more than {odds} times as likely as an image of "
+            "which nothing is known.")
 
 
 def _polynomials(degree: int) -> tuple[SensorModel, SensorModel]:
@@ -217,10 +230,10 @@ METHODS: tuple[Structure, ...] = (
                  "a cubic polynomial with the sensor-geometry prior",
                  *_polynomials(3), estimator=Physical(), short="physical cubic", has_prior=True,
                  contains=(*_LIMITS, *_SHRUNKEN, "field", "tps"), family=_FAMILY,
-                 max_features=CHOSEN),
+                 max_features=PHYSICAL_MAX_CHOSEN),
     _OfCamera("pinhole", "a pinhole camera", DLT3D(weighted=True), Projective2D(weighted=True),
               estimator=PinholeCamera(), short="pinhole camera", central=True,
-              max_features=MOST),
+              max_features=PINHOLE_MAX_POINTS),
     *ROBUST,
 )
 """All built-in methods, in the order of the tables that compare them."""

@@ -24,7 +24,7 @@ from termsel.adjustment.bayesian.physics import (
 from termsel.adjustment.bayesian.posterior import Posterior, normalized, polynomial_posterior
 from termsel.adjustment.bayesian.predicted_positions import predict_positions
 from termsel.adjustment.equations import weights_of
-from termsel.auto.local import LIKELY, asked_of, points_alone
+from termsel.auto.local import FIELD_CALLED_FOR, points_alone, required_probability
 from termsel.auto.shrunken import Average, average, fit_of
 from termsel.auto.validated import gain_of
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points
@@ -36,37 +36,37 @@ from termsel.fitting.uncertainty import Spread
 from termsel.models.base import SensorModel
 from termsel.models.polynomial import Polynomial
 
-FEWEST, MOST = 6, 40
+PHYSICAL_MIN_POINTS, PHYSICAL_MAX_POINTS = 6, 40
 """Numbers of points for which there is a physical prior: fewer do not tell such images from
 others, and more gain nothing by it."""
 
-CHOSEN, FEW = 18, 12
+PHYSICAL_MAX_CHOSEN, PHYSICAL_FEW_POINTS = 18, 12
 """Points of control up to which auto tries it, and up to which points do not tell whether it
 predicts better than what stands without it. The final fit has the check points, too."""
 
-NEGLIGIBLE = 25.0
+NEGLIGIBLE_LOG = 25.0
 """Logarithm by which a prior explains the points worse than the best, to be left out of the
 average. Without one of the points its share is hardly ever one, either."""
 
-FRAMED = 7
+FRAME_MAX_POINTS = 7
 """Points up to which frame cameras are among the kinds: from more a DLT tells photos, and without a
 prior. One more than the fewest, as a point is held out."""
 
-FROM_ORBIT = (0.1, 2000.0)
-FROM_THE_AIR = (0.002, 20.0)
+ORBIT_PIXELS = (0.1, 2000.0)
+AERIAL_PIXELS = (0.002, 20.0)
 """Sizes of a pixel on the ground [m] that images have, resampled ones included."""
 
-STRONG = 20 / 21
+STRONG_PROBABILITY = 20 / 21
 """Probability asked of the prior beyond the fewest points, where what stands without it is better:
 odds of twenty to one, beyond which the evidence is strong (Kass and Raftery 1995)."""
 
-WORSE = 1.0
+MIN_ADVANTAGE = 1.0
 """Standard errors by which the regularised polynomials alone must predict left-out points better to
 remain alone; beyond few points they must be as much worse not to."""
 
 
 @dataclass(frozen=True, eq=False)
-class Averaged(Average):
+class CameraAverage(Average):
     """Polynomials with different priors, averaged by their marginal likelihoods."""
 
     physical: CameraSolutions
@@ -88,23 +88,25 @@ class Averaged(Average):
             likely[priors.kinds[view]] += float(share)
         return max(likely, key=likely.__getitem__)
 
-    def alone(self, local: GaussianProcess | None) -> bool:
+    def is_uncalled_for(self, local: GaussianProcess | None) -> bool:
         """Return whether the prior is not called for: next to a field, if points call for one.
 
         It needs positive evidence at the fewest points, as a field does, and strong evidence at
         more: where it is hardly likelier than what stands without it, that is as good, and has no
         prior that may be wrong.
         """
-        beyond = local.probability if local and local.probability > asked_of(
+        field_probability = local.probability if local and local.probability > required_probability(
             local) else 0.0
-        mine = self.probability * (1.0 - beyond)
-        others = 1.0 - self.probability
-        asked = LIKELY if len(self.errors) <= FEWEST else STRONG
-        least = WORSE if len(self.errors) <= FEW else -WORSE
-        return mine <= asked * (mine + others) or self.worse > least
+        physical = self.probability * (1.0 - field_probability)
+        shrunken = 1.0 - self.probability
+        required = FIELD_CALLED_FOR if len(
+            self.errors) <= PHYSICAL_MIN_POINTS else STRONG_PROBABILITY
+        limit = MIN_ADVANTAGE if len(self.errors) <= PHYSICAL_FEW_POINTS else -MIN_ADVANTAGE
+        return physical <= required * (physical + shrunken) or self.worse > limit
 
 
-def averaged(points: Points, scaling: Scaling, crs: str, exponents: Exponents) -> Averaged | None:
+def camera_average(points: Points, scaling: Scaling, crs: str,
+                   exponents: Exponents) -> CameraAverage | None:
     """Return the average for scaled control points; None where none of the kinds can be meant.
 
     The exponents are those of a cubic polynomial of X and Y, or of X, Y and Z.
@@ -114,7 +116,7 @@ def averaged(points: Points, scaling: Scaling, crs: str, exponents: Exponents) -
 
 @lru_cache(maxsize=2)
 def _averaged(measurements: Measurements, scaling: Scaling, crs: str,
-              exponents: Exponents) -> Averaged | None:
+              exponents: Exponents) -> CameraAverage | None:
     """Return the same; a fit, what describes it and its spread ask for one."""
     points = measurements.points
     variables = 3 if any(power[2] for power in exponents) else 2
@@ -151,9 +153,9 @@ def _averaged(measurements: Measurements, scaling: Scaling, crs: str,
     shares = normalized(np.concatenate([physical.log_evidence, logs]))[0]
     mean = _mean_without_each(logs_without_each, errors)
     others = _mean_without_each(logs_without_each[-len(averages):], errors[-len(averages):])
-    return Averaged(np.einsum("p,pka->ka", shares, coefficients), mean, float(shares @ effective),
-                    physical, tuple(shrunken), shares,
-                    gain_of((others**2).sum(axis=1), (mean**2).sum(axis=1)))
+    return CameraAverage(np.einsum("p,pka->ka", shares, coefficients), mean,
+                         float(shares @ effective), physical, tuple(shrunken), shares,
+                         gain_of((others ** 2).sum(axis=1), (mean ** 2).sum(axis=1)))
 
 
 def _mean_without_each(logs: FloatArray, errors: FloatArray) -> FloatArray:
@@ -167,7 +169,7 @@ def _slopes_on_ground(points: Points, scaling: Scaling, crs: str) -> FloatArray 
     In scaled units of the image. None where the ground is not known, or points lie on a line.
     """
     positions = east_north_up(scaling, crs, points.ground)
-    if positions is None or not FEWEST <= len(points) <= MOST:
+    if positions is None or not PHYSICAL_MIN_POINTS <= len(points) <= PHYSICAL_MAX_POINTS:
         return None
     plane = np.column_stack([np.ones(len(points)), positions[0][:, :2]])
     slopes, _, rank, _ = np.linalg.lstsq(plane, points.image)
@@ -188,10 +190,10 @@ def _by_cameras(points: Points, scaling: Scaling, crs: str, exponents: Exponents
         return bool(sizes[0] * fine <= 1.0 <= sizes[1] * coarse)
 
     kinds: list[Kind] = []
-    if has_size(FROM_ORBIT):
+    if has_size(ORBIT_PIXELS):
         # Without heights a map that bends would look like a radar image.
         kinds += [SCANNERS, *RADARS] if variables == 3 else [SCANNERS]
-    if variables == 3 and len(points) <= FRAMED and has_size(FROM_THE_AIR):
+    if variables == 3 and len(points) <= FRAME_MAX_POINTS and has_size(AERIAL_PIXELS):
         kinds.append(FRAMES)
     scaled = view_points(variables)
     grid = east_north_up(scaling, crs, scaled)
@@ -204,16 +206,16 @@ def _by_cameras(points: Points, scaling: Scaling, crs: str, exponents: Exponents
                                 weights_of(points))
     solutions = CameraSolutions(equations, priors, pixel)
     return solutions.take(
-        solutions.log_evidence > solutions.log_evidence.max() - NEGLIGIBLE)
+        solutions.log_evidence > solutions.log_evidence.max() - NEGLIGIBLE_LOG)
 
 
-def averaged_of(fitted: Fit) -> Averaged:
+def camera_average_of(fitted: Fit) -> CameraAverage:
     """Return the average that a fit was made of."""
     assert isinstance(fitted.model, Polynomial)
     points = fitted.scaling.points(fitted.control.points.take(fitted.used))
-    found = averaged(points, fitted.scaling, fitted.control.crs, fitted.model.exponents)
-    assert found is not None
-    return found
+    result = camera_average(points, fitted.scaling, fitted.control.crs, fitted.model.exponents)
+    assert result is not None
+    return result
 
 
 class Physical(Estimator):
@@ -225,33 +227,38 @@ class Physical(Estimator):
             used: BoolArray) -> Fit:
         """Fit a cubic polynomial (see `Estimator.fit`) with all its terms."""
         assert isinstance(model, Polynomial)
-        mine = points_alone(control, used, "a physical prior")
-        found = averaged(scaling.points(mine), scaling, control.crs, model.exponents)
-        local = fit_gaussian_process(scaling.points(mine), model.variables)
-        if found is None or found.alone(local):
+        points = points_alone(control, used, "a physical prior")
+        average = camera_average(scaling.points(points), scaling, control.crs, model.exponents)
+        local = fit_gaussian_process(scaling.points(points), model.variables)
+        if average is None or average.is_uncalled_for(local):
             raise Undetermined(
                 "the points do not support the sensor-geometry prior of a scanner, a radar or a "
                 "frame camera" + (
-                    "" if found is None else f": its probability is {found.probability:.2g}"),
+                    "" if average is None else f": its probability is {average.probability:.2g}"),
                 hint="Choose a polynomial without it, such as shrunken-cubic.")
-        return fit_of(self, model, control, scaling, used, found)
+        return fit_of(self, model, control, scaling, used, average)
 
     def spread(self, fitted: Fit, ground: FloatArray) -> Spread:
         """Return the mean square errors of a fit at scaled places, under all priors."""
         assert isinstance(fitted.model, Polynomial)
-        found = averaged_of(fitted)
-        parts = []
+        average = camera_average_of(fitted)
+        predictions = []
         columns = monomials(ground, fitted.model.exponents)
-        variances, noises = found.physical.spread(columns)
-        for coefficients, variance, noise in zip(found.physical.coefficients, variances, noises,
+        variances, noises = average.physical.spread(columns)
+        for coefficients, variance, noise in zip(average.physical.coefficients, variances, noises,
                                                  strict=True):
-            parts.append((columns @ coefficients, variance, noise))
-        for posterior, powers in found.shrunken:
-            mine = monomials(ground, powers)
+            predictions.append((columns @ coefficients, variance, noise))
+        for posterior, powers in average.shrunken:
+            columns_of_degree = monomials(ground, powers)
             lead = posterior.designs[0].lead.shape[0]
-            there = predict_positions(posterior, mine[:, :lead], mine[:, lead:])
-            parts.append((there.image, there.variance, there.noise))
+            predicted = predict_positions(posterior, columns_of_degree[:, :lead],
+                                          columns_of_degree[:, lead:])
+            predictions.append((predicted.image, predicted.variance, predicted.noise))
         image = fitted.model.project(fitted.adjustment.coefficients, ground)
-        variance = sum((share * (own + (mean - image) ** 2) for share, (mean, own, _) in zip(
-            found.shares, parts, strict=True)), np.zeros_like(image))
-        return Spread(variance, np.full(2, float(found.shares @ [part[2] for part in parts])))
+        variance = sum(
+            (share * (own_variance + (mean - image) ** 2)
+             for share, (mean, own_variance, _) in zip(average.shares, predictions, strict=True)),
+            np.zeros_like(image))
+        return Spread(
+            variance,
+            np.full(2, float(average.shares @ [prediction[2] for prediction in predictions])))

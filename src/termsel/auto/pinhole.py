@@ -18,22 +18,22 @@ from termsel.fitting.uncertainty import Spread
 from termsel.models.base import SensorModel
 from termsel.models.projective import Projective
 
-MOST = 20
+PINHOLE_MAX_POINTS = 20
 """Points up to which a camera is tried: a DLT of more tells as much, and takes up more of a lens.
 """
 
-OBLIQUE = 0.8
+OBLIQUE_DEPTH = 0.8
 """Distance of the nearest point by that of the middle, along the view, below which a view is
 oblique: points of a photo from above are at about the same distance."""
 
-BENT = 0.01
+BENT_DEVIATION = 0.01
 """Standard deviation of what affine polynomials leave, by the half extent of the image, below which
 few points show no oblique view."""
 
-CORNERS = 4
+EXACT_AFFINE_POINTS = 4
 """Points that an affine polynomial with heights fits exactly."""
 
-FEW = 8
+PINHOLE_MIN_DLT_POINTS = 8
 """Points below which a view is not told by a DLT, which leaves them hardly an equation."""
 
 
@@ -54,8 +54,8 @@ class PinholeCamera(Estimator):
     def refit(self, fitted: Fit, control: FeatureSet) -> Fit:
         """Return the camera of other control points that is next to that of a fit."""
         assert isinstance(fitted.model, Projective)
-        near = pinhole_near(_camera_of(fitted), fitted.scaling.features(control), fitted.scaling)
-        return self._written(near, fitted.model, control, fitted.scaling,
+        camera = pinhole_near(_camera_of(fitted), fitted.scaling.features(control), fitted.scaling)
+        return self._written(camera, fitted.model, control, fitted.scaling,
                              np.ones(len(control), dtype=bool))
 
     def _written(self, camera: Pinhole | None, model: Projective, control: FeatureSet,
@@ -79,7 +79,7 @@ class PinholeCamera(Estimator):
         """Return the mean square errors of a fit at scaled places (see `Estimator.spread`)."""
         assert isinstance(fitted.model, Projective)
         camera = _camera_of(fitted)
-        factors = camera.factors(_in_space(camera, fitted.model, ground))
+        factors = camera.factors(_with_heights(camera, fitted.model, ground))
         return Spread((factors**2).sum(axis=2), np.full(2, camera.sigma**2), factors)
 
     def view(self, features: FeatureSet, scaling: Scaling) -> View | None:
@@ -91,36 +91,37 @@ class PinholeCamera(Estimator):
 def may_be_oblique(features: FeatureSet) -> bool:
     """Return whether scaled points may be of an oblique view, as quickly as it can be said."""
     points = features.points
-    if len(features.lines) or not PINHOLE_MIN_POINTS <= len(points) <= MOST:
+    if len(features.lines) or not PINHOLE_MIN_POINTS <= len(points) <= PINHOLE_MAX_POINTS:
         return False
-    if len(points) >= FEW:
+    if len(points) >= PINHOLE_MIN_DLT_POINTS:
         view = view_of(points)
-        return view is not None and view.depth < OBLIQUE
-    return _left_by_affine(points, heights=False) > BENT
+        return view is not None and view.depth < OBLIQUE_DEPTH
+    return _affine_deviation(points, heights=False) > BENT_DEVIATION
 
 
 def call_for_camera(features: FeatureSet, scaling: Scaling) -> bool:
     """Return whether scaled points call for an oblique view by a camera without distortion."""
     if not may_be_oblique(features):
         return False
-    if len(features.points) == CORNERS and not is_off_plane(features.points):
+    if len(features.points) == EXACT_AFFINE_POINTS and not is_off_plane(features.points):
         return False  # a projective transformation sees four points of a plane as they are
     camera = pinhole_of(features, scaling)
-    if camera is None or not 0.0 < camera.view.depth < OBLIQUE:
+    if camera is None or not 0.0 < camera.view.depth < OBLIQUE_DEPTH:
         return False
     # Affine polynomials with heights fit four points exactly.
-    left = _left_by_affine(features.points, heights=len(features.points) > CORNERS)
-    return camera.sigma < CLEARER * left
+    deviation = _affine_deviation(features.points,
+                                  heights=len(features.points) > EXACT_AFFINE_POINTS)
+    return camera.sigma < CLEARER * deviation
 
 
-def _left_by_affine(points: Points, *, heights: bool) -> float:
+def _affine_deviation(points: Points, *, heights: bool) -> float:
     """Return the standard deviation of what an affine polynomial leaves of scaled points."""
     ground = points.ground[:, :3 if heights else 2]
     columns = np.column_stack([np.ones(len(points)), ground])
     coefficients, _, rank, _ = np.linalg.lstsq(columns, points.image)
     freedom = points.image.size - 2 * int(rank)
-    left = points.image - columns @ coefficients
-    return float(np.sqrt((left**2).sum() / freedom)) if freedom > 0 else 0.0
+    residuals = points.image - columns @ coefficients
+    return float(np.sqrt((residuals**2).sum() / freedom)) if freedom > 0 else 0.0
 
 
 def _camera_of(fitted: Fit) -> Pinhole:
@@ -154,7 +155,7 @@ def _plane(camera: Pinhole) -> FloatArray:
                                       ground[:, 2])[0])
 
 
-def _in_space(camera: Pinhole, model: Projective, ground: FloatArray) -> FloatArray:
+def _with_heights(camera: Pinhole, model: Projective, ground: FloatArray) -> FloatArray:
     """Return scaled places with the heights that a projection gives them, (m, 3)."""
     if model.uses_height:
         return ground

@@ -38,12 +38,12 @@ class RidgeByOrder(Estimator):
         coefficients = np.zeros(len(terms))
         trace = 0.0
         weights = np.array([_weight(name) for name in model.terms])
-        for part in independent_parts(plain.model.equations(plain.scaled_control), model.axis):
-            rows = used[part.equations.feature]
-            chosen = terms & part.columns
-            columns = part.equations.A[rows][:, chosen[part.columns]]
-            coefficients[chosen], effective = _ridge(columns, part.equations.b[rows],
-                                                     weights[chosen])
+        for system in independent_parts(plain.model.equations(plain.scaled_control), model.axis):
+            rows = used[system.equations.feature]
+            selected = terms & system.columns
+            columns = system.equations.A[rows][:, selected[system.columns]]
+            coefficients[selected], effective = _ridge(columns, system.equations.b[rows],
+                                                       weights[selected])
             trace += effective
         return plain.with_coefficients(coefficients, self, trace)
 
@@ -59,14 +59,14 @@ def _ridge(columns: FloatArray, target: FloatArray,
     """Return coefficients and their effective number."""
     free = weights == 0
     x = np.zeros(columns.shape[1])
-    lead = columns[:, free]
-    q, strength = np.linalg.svd(lead, full_matrices=False)[:2]
-    q = q[:, strength > np.finfo(float).eps * max(lead.shape) * strength.max(initial=0.0)]
-    rest = (columns[:, ~free] - q @ (q.T @ columns[:, ~free])) / weights[~free]
+    free_columns = columns[:, free]
+    q, strength = np.linalg.svd(free_columns, full_matrices=False)[:2]
+    q = q[:, strength > np.finfo(float).eps * max(free_columns.shape) * strength.max(initial=0.0)]
+    penalised = (columns[:, ~free] - q @ (q.T @ columns[:, ~free])) / weights[~free]
     y = target - q @ (q.T @ target)
     effective = float(q.shape[1])
-    if rest.size:
-        u, s, vt = np.linalg.svd(rest, full_matrices=False)
+    if penalised.size:
+        u, s, vt = np.linalg.svd(penalised, full_matrices=False)
         live = s > TOLERANCE * s.max(initial=0.0)
         u = u[:, live]
         s = s[live]
@@ -78,6 +78,6 @@ def _ridge(columns: FloatArray, target: FloatArray,
                 Spectrum(s, np.abs(inner), outside, len(y) - q.shape[1]), "gcv")
             x[~free] = vt.T @ (s / (s**2 + penalty**2) * inner) / weights[~free]
             effective += float((s**2 / (s**2 + penalty**2)).sum())
-    if lead.size:
-        x[free] = np.linalg.lstsq(lead, target - columns @ x)[0]
+    if free_columns.size:
+        x[free] = np.linalg.lstsq(free_columns, target - columns @ x)[0]
     return x, effective

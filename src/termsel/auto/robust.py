@@ -25,10 +25,10 @@ HUBER, TUKEY = 1.345, 4.685
 """Standard deviations from which a row has less weight, or none: both estimators are 95 % efficient
 under normal errors."""
 
-ITERATIONS = 50
+MAX_ITERATIONS = 50
 """Most iterations of each estimator; ten are usual."""
 
-SETTLED = 1e-8
+CONVERGED_CHANGE = 1e-8
 """Change of the coefficients by their size, below which the iteration ends."""
 
 
@@ -63,17 +63,17 @@ def reweighted(equations: Equations, biweight: bool) -> tuple[FloatArray, FloatA
     x = np.linalg.lstsq(A, b)[0]
     weights = np.ones(len(b))
     for with_biweight in (False, True)[:1 + biweight]:
-        for _ in range(ITERATIONS):
-            left = np.abs(b - A @ x)
-            scale = float(median(left)) / NORMAL_MEDIAN
+        for _ in range(MAX_ITERATIONS):
+            residuals = np.abs(b - A @ x)
+            scale = float(median(residuals)) / NORMAL_MEDIAN
             if scale <= np.finfo(float).eps * np.abs(b).max():  # half of the rows fit exactly
                 break
-            weights = _biweight(left / scale) if with_biweight else \
-                HUBER / np.maximum(left / scale, HUBER)
+            weights = _biweight(residuals / scale) if with_biweight else \
+                HUBER / np.maximum(residuals / scale, HUBER)
             root = np.sqrt(weights)
-            before = x
+            previous = x
             x = np.linalg.lstsq(A * root[:, None], b * root)[0]
-            if np.linalg.norm(x - before) <= SETTLED * np.linalg.norm(x):
+            if np.linalg.norm(x - previous) <= CONVERGED_CHANGE * np.linalg.norm(x):
                 break
     return np.asarray(x), weights
 

@@ -17,21 +17,21 @@ from termsel.data.record.chances import t_quantile
 from termsel.fitting.fit import Fit
 from termsel.fitting.method import Method
 
-BETTER = 1.0
+PRIOR_MARGIN = 1.0
 """Standard errors by which a method with a prior must be better than the one before it (the rule of
 Breiman et al. 1984)."""
 
-EXPECTED = 2.0
+PROJECTION_MARGIN = 2.0
 """Standard errors by which a central projection must be better."""
 
-CLEARLY = 3.0
+CLEAR_MARGIN = 3.0
 """Standard errors by which any other method that no prior contains must be better, since the best
 of several is so partly by luck."""
 
-LEAST = "It has the smallest leave-one-out RMSE."
+SMALLEST_RMSE_REASON = "It has the smallest leave-one-out RMSE."
 """Why a method is chosen where none has a prior."""
 
-DEEP = 0.8
+OBLIQUE_DEPTH_RATIO = 0.8
 """Distance of the nearest point by that of the middle, along the view, below which a view is
 oblique: a map has none, and points of a photo from above are at about the same distance."""
 
@@ -86,55 +86,62 @@ def best_of(fits: Iterable[Fit], describe: Describe = lambda _: None) -> Choice 
     compared = tuple(fits)
     priors = [fitted for fitted in compared if method_of(fitted).has_prior]
     if not priors:
-        return Choice(min(compared, key=beyond_rounding), compared, LEAST) if compared else None
-    base, reasons = base_of(priors)
-    others = [fitted for fitted in compared if not (
+        return Choice(min(compared, key=beyond_rounding), compared,
+                      SMALLEST_RMSE_REASON) if compared else None
+    base, reasons = fit_to_beat(priors)
+    alternatives = [fitted for fitted in compared if not (
         method_of(fitted).has_prior or contained(method_of(fitted), priors))]
-    rivals = [base, *(other for other in others if gain(other, base) > required(other, base))]
+    rivals = [
+        base,
+        *(alternative
+          for alternative in alternatives if gain(alternative, base) > required(alternative, base))
+    ]
     chosen = min(rivals, key=beyond_rounding)
     descriptions = [description for fitted in dict.fromkeys((chosen, base))
                     if (description := describe(fitted))]
     return Choice(chosen, compared,
-                  _reason(chosen, base, [*descriptions, *reasons], others, compared))
+                  _reason(chosen, base, [*descriptions, *reasons], alternatives, compared))
 
 
-def base_of(priors: Sequence[Fit]) -> tuple[Fit, list[str]]:
+def fit_to_beat(priors: Sequence[Fit]) -> tuple[Fit, list[str]]:
     """Return which fit with a prior is to be beaten, and what decided among them."""
     base = priors[0]
     reasons: list[str] = []
     for fitted in priors[1:]:
-        method, held = method_of(fitted), method_of(base)
-        if base_is_limit(held, method):
+        method, base_method = method_of(fitted), method_of(base)
+        if base_is_limit(base_method, method):
             base = fitted
             reasons = []
-        elif not base_is_limit(method, held):
+        elif not base_is_limit(method, base_method):
             # Leave-one-out says little of places beyond the points, where what is known holds, too.
-            needed = _sure(base) if held.from_one > method.from_one else BETTER
-            if needed < np.inf:
-                reasons.append(
-                    f"{_compared(fitted, base)}; it must be better by more than {needed:.2g}.")
-            base = fitted if gain(fitted, base) > needed else base
+            knows_more = base_method.from_one > method.from_one
+            margin = _equally_sure_margin(base) if knows_more else PRIOR_MARGIN
+            if margin < np.inf:
+                reasons.append(f"{_comparison_sentence(fitted, base)}; it must be better by more "
+                               f"than {margin:.2g}.")
+            base = fitted if gain(fitted, base) > margin else base
     return base, reasons
 
 
-def base_is_limit(method: Method, other: Method) -> bool:
+def base_is_limit(method: Method, wider_method: Method) -> bool:
     """Return whether another method has a method as one of its limits."""
-    return method.name in other.contains
+    return method.name in wider_method.contains
 
 
 def required(fitted: Fit, base: Fit) -> float:
     """Return by how many standard errors a method that no prior contains must be better."""
     if method_of(base).from_one > method_of(fitted).from_one:
-        return _sure(base)
+        return _equally_sure_margin(base)
     if not method_of(fitted).central:
-        return CLEARLY
+        return CLEAR_MARGIN
     # Few points measured roughly, as in a drawn bird's-eye view, hardly tell standard errors apart;
     # that they call for an oblique view, is evidence of its own.
     view = fitted.view
-    return BETTER if view is not None and view.depth < DEEP else EXPECTED
+    is_oblique = view is not None and view.depth < OBLIQUE_DEPTH_RATIO
+    return PRIOR_MARGIN if is_oblique else PROJECTION_MARGIN
 
 
-def _sure(base: Fit) -> float:
+def _equally_sure_margin(base: Fit) -> float:
     """Return by how many standard errors others must be better than one that knows more.
 
     It is CLEARLY where features are many. Few of them hardly tell the standard error, so that more
@@ -142,40 +149,40 @@ def _sure(base: Fit) -> float:
     """
     freedom = len(base.held_out().squares) - 1
     # The probability that a normal number stays within CLEARLY standard errors.
-    probability = (1.0 + erf(CLEARLY / sqrt(2.0))) / 2.0
+    probability = (1.0 + erf(CLEAR_MARGIN / sqrt(2.0))) / 2.0
     return t_quantile(probability, freedom) if freedom > 1 else np.inf
 
 
-def _reason(chosen: Fit, base: Fit, reasons: Sequence[str], others: Sequence[Fit],
+def _reason(chosen: Fit, base: Fit, reasons: Sequence[str], alternatives: Sequence[Fit],
             compared: Iterable[Fit]) -> str:
     """Return why a method is chosen, after what is said of those with a prior."""
     sentences = list(reasons)
-    if others:
+    if alternatives:
         nearest = chosen if chosen is not base else max(
-            others, key=lambda fitted: gain(fitted, base))
-        needed = required(nearest, base)
+            alternatives, key=lambda fitted: gain(fitted, base))
+        margin = required(nearest, base)
         smaller = (" and have a smaller RMSE"
-                   if nearest is not chosen and gain(nearest, base) > needed else "")
-        sentences.append(f"{_compared(nearest, base)}; it must be better by more than "
-                         f"{needed:.2g}{smaller}.")
+                   if nearest is not chosen and gain(nearest, base) > margin else "")
+        sentences.append(f"{_comparison_sentence(nearest, base)}; it must be better by more than "
+                         f"{margin:.2g}{smaller}.")
     if any("standard error" in sentence for sentence in sentences):
         sentences.append("Standard errors are those of logarithms of squared leave-one-out "
                          "errors.")
     best = method_of(min(compared, key=beyond_rounding))
-    whole = next((method for fitted in compared if (method := method_of(fitted)).has_prior
-                  and best.name in method.contains and not best.has_prior), None)
-    if whole is not None:
-        family = whole.family or f"{whole.title} and its like"
+    wider_method = next((method for fitted in compared if (method := method_of(fitted)).has_prior
+                         and best.name in method.contains and not best.has_prior), None)
+    if wider_method is not None:
+        family = wider_method.family or f"{wider_method.title} and its like"
         sentences.append(f"{best.label} is a limit of {family}, which find it if the points "
                          "support it.")
-    return " ".join(sentences) or LEAST
+    return " ".join(sentences) or SMALLEST_RMSE_REASON
 
 
-def _compared(fitted: Fit, other: Fit) -> str:
+def _comparison_sentence(fitted: Fit, reference: Fit) -> str:
     """Return by how many standard errors a method is better or worse than another."""
-    advantage = gain(fitted, other)
+    advantage = gain(fitted, reference)
     return (f"{method_of(fitted).label} is {'better' if advantage > 0 else 'worse'} than "
-            f"{method_of(other).label} by {standard_errors(advantage)}")
+            f"{method_of(reference).label} by {standard_errors(advantage)}")
 
 
 def standard_errors(gain_in_errors: float) -> str:
@@ -192,6 +199,6 @@ def beyond_rounding(fitted: Fit) -> float:
     return max(fitted.held_out_rmse, fitted.rounding)
 
 
-def gain(fitted: Fit, other: Fit) -> float:
+def gain(fitted: Fit, reference: Fit) -> float:
     """Return by how many standard errors the squared errors of a fit are smaller."""
-    return gain_of(fitted.held_out().squares, other.held_out().squares, fitted.rounding)
+    return gain_of(fitted.held_out().squares, reference.held_out().squares, fitted.rounding)

@@ -48,17 +48,19 @@ class ForwardSelection(Estimator):
             used: BoolArray) -> Fit:
         """Fit a polynomial (see `Estimator.fit`), offering all its terms."""
         assert isinstance(model, Polynomial)
-        given = points_alone(control, used, "a selection of terms")
-        points = scaling.points(given)
-        weights = weights_of(given)
+        points_in_use = points_alone(control, used, "a selection of terms")
+        points = scaling.points(points_in_use)
+        weights = weights_of(points_in_use)
         columns = monomials(points.ground, model.exponents)
         affine = np.array(model.exponents).sum(axis=1) < 2
-        sides = select_forward(columns * weights.T[:, :, None], (points.image * weights).T, affine)
-        if sides is None:
+        selections = select_forward(columns * weights.T[:, :, None], (points.image * weights).T,
+                                    affine)
+        if selections is None:
             raise Undetermined(f"{len(points)} control points are too few to select terms by",
                                hint="Measure more control, or fit the model affine.")
-        errors = np.stack([one.errors for one in sides], axis=1) / weights * scaling.image_scale
-        chosen = np.concatenate([one.terms for one in sides])
+        errors = np.stack([selection.errors
+                           for selection in selections], axis=1) / weights * scaling.image_scale
+        chosen = np.concatenate([selection.terms for selection in selections])
         fitted = LEAST_SQUARES.fit(model, control, scaling, chosen, used)
         return replace(fitted, estimator=self,
                        stored_held_out=HeldOut.of(errors, control.take(used)))
@@ -72,8 +74,8 @@ def select_forward(columns: FloatArray, target: FloatArray,
     of the equations with the forced terms alone.
     """
     axes, n, k = columns.shape
-    most = (2 * (n - 1)) // 3 - int(forced.sum())
-    if most < 0:
+    max_selected = (2 * (n - 1)) // 3 - int(forced.sum())
+    if max_selected < 0:
         return None
     folds = min(n, MAX_FOLDS)
     fold = np.arange(n) % folds
@@ -84,23 +86,31 @@ def select_forward(columns: FloatArray, target: FloatArray,
         rows = np.concatenate([columns[0], target.T], axis=1)
         augmented = [rows] * axes
         factors = [_without_each(rows, fold)] * axes
-        own = range(k, k + axes)
+        target_columns = range(k, k + axes)
     else:
-        augmented = [np.concatenate([one, aim[:, None]], axis=1)
-                     for one, aim in zip(columns, target, strict=True)]
+        augmented = [np.concatenate([rows_of_axis, axis_target[:, None]], axis=1)
+                     for rows_of_axis, axis_target in zip(columns, target, strict=True)]
         factors = [_without_each(rows, fold) for rows in augmented]
-        own = range(k, k + 1)
-    which = [np.append(np.arange(k), own[axis % len(own)]) for axis in range(axes)]
-    systems = np.concatenate([one[:, :, some] for one, some in zip(factors, which, strict=True)])
+        target_columns = range(k, k + 1)
+    system_columns = [
+        np.append(np.arange(k), target_columns[axis % len(target_columns)]) for axis in range(axes)
+    ]
+    systems = np.concatenate([
+        rows_of_axis[:, :, columns_of_axis]
+        for rows_of_axis, columns_of_axis in zip(factors, system_columns, strict=True)
+    ])
     equations = np.tile(np.append(n - np.bincount(fold), n).astype(np.float64), axes)
-    found = _chosen(systems, equations, int(forced.sum()), most)
-    if found is None:
+    selected = _chosen(systems, equations, int(forced.sum()), max_selected)
+    if selected is None:
         return None
-    best = found.reshape(axes, folds + 1, k)
-    each = np.split(systems, axes)
-    return [AxisTerms(chosen[folds][np.argsort(order)],
-                      _errors(rows[:, some], fold, system, chosen[:folds]))
-            for rows, some, system, chosen in zip(augmented, which, each, best, strict=True)]
+    best = selected.reshape(axes, folds + 1, k)
+    systems_of_axes = np.split(systems, axes)
+    return [
+        AxisTerms(chosen[folds][np.argsort(order)],
+                  _errors(rows[:, columns_of_axis], fold, system, chosen[:folds]))
+        for rows, columns_of_axis, system, chosen in zip(
+            augmented, system_columns, systems_of_axes, best, strict=True)
+    ]
 
 
 def _without_each(rows: FloatArray, fold: IntArray) -> FloatArray:
@@ -111,18 +121,22 @@ def _without_each(rows: FloatArray, fold: IntArray) -> FloatArray:
     folds = int(fold.max()) + 1
     if len(rows) == folds:  # few: one call is faster
         return _triangle(rows * (fold != np.arange(folds + 1)[:, None])[:, :, None])
-    found = np.empty((folds + 1, min(rows.shape), rows.shape[1]))
+    triangles = np.empty((folds + 1, min(rows.shape), rows.shape[1]))
     groups = np.array_split(np.arange(folds), round(np.sqrt(folds)))
-    each = [_triangle(rows[np.isin(fold, some)]) for some in groups]
-    found[folds] = _triangle(np.concatenate(each))
-    for group, some in enumerate(groups):
-        mine = np.isin(fold, some)
-        others = _triangle(np.concatenate([rows[:0], *each[:group], *each[group + 1:]]))
-        kept = fold[mine] != some[:, None]
-        found[some] = _triangle(np.concatenate([
-            np.broadcast_to(others, (len(some), *others.shape)), rows[mine] * kept[:, :, None]],
-            axis=1))
-    return found
+    group_triangles = [_triangle(rows[np.isin(fold, group_folds)]) for group_folds in groups]
+    triangles[folds] = _triangle(np.concatenate(group_triangles))
+    for group, group_folds in enumerate(groups):
+        in_group = np.isin(fold, group_folds)
+        triangle_of_others = _triangle(
+            np.concatenate([rows[:0], *group_triangles[:group], *group_triangles[group + 1:]]))
+        stays = fold[in_group] != group_folds[:, None]
+        triangles[group_folds] = _triangle(
+            np.concatenate([
+                np.broadcast_to(triangle_of_others, (len(group_folds), *triangle_of_others.shape)),
+                rows[in_group] * stays[:, :, None]
+            ],
+                           axis=1))
+    return triangles
 
 
 def _triangle(rows: FloatArray) -> FloatArray:
@@ -130,7 +144,7 @@ def _triangle(rows: FloatArray) -> FloatArray:
 
 
 def _chosen(systems: FloatArray, equations: FloatArray, forced: int,
-            most: int) -> BoolArray | None:
+            max_selected: int) -> BoolArray | None:
     """Return the terms that each of s systems selects, (s, k); None if forced ones are dependent.
 
     The systems (s, r, k + 1) are triangular factors of columns and target, of so many equations
@@ -139,37 +153,37 @@ def _chosen(systems: FloatArray, equations: FloatArray, forced: int,
     count = len(systems)
     free = systems.shape[2] - 1 - forced
     lengths = np.linalg.norm(systems[:, :, :-1], axis=1)
-    lead = np.abs(np.diagonal(systems, axis1=1, axis2=2)[:, :forced])
-    if (lead <= TOLERANCE * lengths[:, :forced]).any():
+    forced_diagonal = np.abs(np.diagonal(systems, axis1=1, axis2=2)[:, :forced])
+    if (forced_diagonal <= TOLERANCE * lengths[:, :forced]).any():
         return None
     # The forced terms are taken out: their rows of the triangle are.
-    rest = systems[:, forced:, forced:-1].copy()
-    left = systems[:, forced:, -1]
+    free_rows = systems[:, forced:, forced:-1].copy()
+    targets = systems[:, forced:, -1]
     lengths = lengths[:, forced:]
     chosen = np.zeros((count, free), dtype=bool)
     best = chosen.copy()
-    least = np.full(count, np.inf)
+    best_value = np.full(count, np.inf)
     rows = np.arange(count)
     # All terms are a candidate of their own. No selection leaves less than they do.
-    counts = range(max(min(most, free - 1), 0) + 1)
+    counts = range(max(min(max_selected, free - 1), 0) + 1)
     rounding = (ROUNDING * np.linalg.norm(systems[:, :, -1], axis=1)) ** 2
-    bounds = np.array([_criterion(systems[:, forced + free:, -1], rounding, equations, more, free,
-                                  forced + more) for more in counts])
+    bounds = np.array([_criterion(systems[:, forced + free:, -1], rounding, equations, n_more, free,
+                                  forced + n_more) for n_more in counts])
     for added in counts:
-        value = _criterion(left, rounding, equations, added, free, forced + added)
-        better = value < least
-        least = np.where(better, value, least)
+        value = _criterion(targets, rounding, equations, added, free, forced + added)
+        better = value < best_value
+        best_value = np.where(better, value, best_value)
         best = np.where(better[:, None], chosen, best)
-        squares = np.einsum("bnk,bnk->bk", rest, rest)
+        squares = np.einsum("bnk,bnk->bk", free_rows, free_rows)
         usable = ~chosen & (squares > (TOLERANCE * lengths) ** 2)
         if (not usable.any(axis=1).all()
-                or (least < bounds[added + 1:].min(axis=0, initial=np.inf)).all()):
+                or (best_value < bounds[added + 1:].min(axis=0, initial=np.inf)).all()):
             break
-        gain = np.einsum("bnk,bn->bk", rest, left) ** 2
+        gain = np.einsum("bnk,bn->bk", free_rows, targets) ** 2
         entering = largest(np.where(usable, gain / np.where(usable, squares, 1.0), -1.0))
-        q = rest[rows, :, entering] / np.sqrt(squares[rows, entering])[:, None]
-        rest -= q[:, :, None] * np.einsum("bn,bnk->bk", q, rest)[:, None, :]
-        left = left - q * np.einsum("bn,bn->b", q, left)[:, None]
+        q = free_rows[rows, :, entering] / np.sqrt(squares[rows, entering])[:, None]
+        free_rows -= q[:, :, None] * np.einsum("bn,bnk->bk", q, free_rows)[:, None, :]
+        targets = targets - q * np.einsum("bn,bn->b", q, targets)[:, None]
         chosen[rows, entering] = True
     return np.concatenate([np.ones((count, forced), dtype=bool), best], axis=1)
 
@@ -178,26 +192,26 @@ def _errors(rows: FloatArray, fold: IntArray, systems: FloatArray, best: BoolArr
     """Return the errors of rows, shape (n, k + 1), by what was selected without their fold."""
     errors = np.empty(len(rows))
     # Most folds select the same terms, and are solved together.
-    masks, which = np.unique(best, axis=0, return_inverse=True)
-    which = which.ravel()
-    for one, mask in enumerate(masks):
-        outs = np.flatnonzero(which == one)
+    masks, mask_of_fold = np.unique(best, axis=0, return_inverse=True)
+    mask_of_fold = mask_of_fold.ravel()
+    for mask_index, mask in enumerate(masks):
+        folds_of_mask = np.flatnonzero(mask_of_fold == mask_index)
         count = int(mask.sum())
-        r = _triangle(systems[outs][:, :, np.append(mask, True)])
-        place = np.empty(len(best), dtype=np.intp)
-        place[outs] = np.arange(len(outs))
+        r = _triangle(systems[folds_of_mask][:, :, np.append(mask, True)])
+        position = np.empty(len(best), dtype=np.intp)
+        position[folds_of_mask] = np.arange(len(folds_of_mask))
         x = np.linalg.solve(r[:, :count, :count], r[:, :count, count:])[:, :, 0]
-        mine = which[fold] == one
-        errors[mine] = rows[mine, -1] - np.einsum("nk,nk->n", rows[mine, :-1][:, mask],
-                                                  x[place[fold[mine]]])
+        rows_of_mask = mask_of_fold[fold] == mask_index
+        errors[rows_of_mask] = rows[rows_of_mask, -1] - np.einsum(
+            "nk,nk->n", rows[rows_of_mask, :-1][:, mask], x[position[fold[rows_of_mask]]])
     return errors
 
 
-def _criterion(left: FloatArray, rounding: FloatArray, n: FloatArray, count: int, free: int,
+def _criterion(residuals: FloatArray, rounding: FloatArray, n: FloatArray, count: int, free: int,
                used: int) -> FloatArray:
     """Return the criterion of some of the free terms, of n equations each.
 
     A sum of squares is at least that of rounding (s,): its logarithm has no meaning below.
     """
-    rss = np.maximum((left**2).sum(axis=1), np.maximum(rounding, np.finfo(float).tiny))
+    rss = np.maximum((residuals**2).sum(axis=1), np.maximum(rounding, np.finfo(float).tiny))
     return np.asarray(n * np.log(rss / n) + used * np.log(n) + 2 * np.log(comb(free, count)))

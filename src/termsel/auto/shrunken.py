@@ -68,33 +68,33 @@ class Averaging(Estimator):
             used: BoolArray) -> Fit:
         """Fit a polynomial (see `Estimator.fit`) with all its terms."""
         assert isinstance(model, Polynomial)
-        mine = scaling.features(control.take(used))
-        found = average_with_lines(mine, model) if len(mine.lines) else average(
-            mine.points.ground, mine.points.image, model.exponents,
-            None if mine.points.sigma is None else weights_of(mine.points))
-        if found is None:
-            what = "control feature" if len(mine.lines) else "control point"
+        scaled = scaling.features(control.take(used))
+        average_of_all = average_with_lines(scaled, model) if len(scaled.lines) else average(
+            scaled.points.ground, scaled.points.image, model.exponents,
+            None if scaled.points.sigma is None else weights_of(scaled.points))
+        if average_of_all is None:
+            feature_word = "control feature" if len(scaled.lines) else "control point"
             raise Undetermined(
-                f"{counted(len(mine), what)} without any one of them do not determine an affine "
-                "model", hint="Measure more control, spread over the area.")
-        return fit_of(self, model, control, scaling, used, found)
+                f"{counted(len(scaled), feature_word)} without any one of them do not determine "
+                "an affine model", hint="Measure more control, spread over the area.")
+        return fit_of(self, model, control, scaling, used, average_of_all)
 
 
 def fit_of(estimator: Estimator, model: Polynomial, control: FeatureSet, scaling: Scaling,
-           used: BoolArray, found: Average) -> Fit:
+           used: BoolArray, average_of_all: Average) -> Fit:
     """Return the fit that an average of solutions for the features in use is."""
-    coefficients = found.coefficients.T.ravel()
+    coefficients = average_of_all.coefficients.T.ravel()
     equations = model.equations(
         scaling.features(control))
     in_use = (equations.b - equations.A @ coefficients)[used[equations.feature]]
-    freedom = len(in_use) - found.effective
-    count = round(found.effective)
+    freedom = len(in_use) - average_of_all.effective
+    count = round(average_of_all.effective)
     sigma0 = float(np.sqrt(in_use @ in_use / freedom)) if freedom > 0.5 else np.nan
     adjustment = Adjustment(coefficients, np.full(len(coefficients), np.nan), count, len(in_use),
                             count, np.nan, sigma0)
     return Fit(model, scaling, control, np.ones(len(coefficients), dtype=bool), used, adjustment,
-               estimator, found.effective,
-               HeldOut.of(found.errors * scaling.image_scale, control.take(used)))
+               estimator, average_of_all.effective,
+               HeldOut.of(average_of_all.errors * scaling.image_scale, control.take(used)))
 
 
 def average(ground: FloatArray, image: FloatArray, exponents: Exponents,
@@ -107,20 +107,20 @@ def average(ground: FloatArray, image: FloatArray, exponents: Exponents,
     """
     order = np.array(exponents).sum(axis=1)
     columns = monomials(ground, exponents)
-    found = polynomial_posterior(ground, image, exponents, weights)
-    if found is None:
+    posterior = polynomial_posterior(ground, image, exponents, weights)
+    if posterior is None:
         return None
     weights = np.ones_like(image) if weights is None else weights
     coefficients = np.empty((len(exponents), 2))
     effective = 0.0
     for axis in (0, 1):
-        shrunk, own = found.mean(axis)
+        shrunk, axis_effective = posterior.mean(axis)
         affine = columns[:, order < 2] * weights[:, axis, None]
-        rest = weights[:, axis] * (image[:, axis] - columns[:, order > 1] @ shrunk)
+        affine_targets = weights[:, axis] * (image[:, axis] - columns[:, order > 1] @ shrunk)
         coefficients[order > 1, axis] = shrunk
-        coefficients[order < 2, axis] = np.linalg.lstsq(affine, rest)[0]
-        effective += own
-    return Average(coefficients, found.held_out.errors / weights, effective)
+        coefficients[order < 2, axis] = np.linalg.lstsq(affine, affine_targets)[0]
+        effective += axis_effective
+    return Average(coefficients, posterior.held_out.errors / weights, effective)
 
 
 def average_with_lines(features: FeatureSet, model: Polynomial) -> Average | None:
@@ -130,11 +130,11 @@ def average_with_lines(features: FeatureSet, model: Polynomial) -> Average | Non
     features but any one do not determine the affine terms.
     """
     equations = model.equations(features)
-    found = mean_line_solution(equations, model.exponents)
-    if found is None:
+    mean_solution = mean_line_solution(equations, model.exponents)
+    if mean_solution is None:
         return None
     k = len(model.exponents)
-    (shrunk, effective, errors) = found
+    (shrunk, effective, errors) = mean_solution
     free = np.tile(np.array(model.exponents).sum(axis=1) < 2, 2)
     coefficients = np.empty(2 * k)
     coefficients[~free] = shrunk

@@ -13,7 +13,7 @@ from termsel.fitting.least_squares import left_out_squares
 from termsel.fitting.method import Method
 from termsel.models.poles import guard_points, pole_margin, pole_violation
 
-WIDER = 1.5
+POLE_BOX_FACTOR = 1.5
 """A denominator must be positive in a box this much wider than that of the points."""
 
 
@@ -44,7 +44,7 @@ def has_pole(fitted: Fit) -> bool:
     control = fitted.scaled_control
     return bool(pole_violation(
         fitted.model, fitted.adjustment.coefficients[None],
-        guard_points(control, no_points(), WIDER), pole_margin(control.points))[0])
+        guard_points(control, no_points(), POLE_BOX_FACTOR), pole_margin(control.points))[0])
 
 
 def refusal(fitted: Fit) -> str:
@@ -59,7 +59,7 @@ def refusal(fitted: Fit) -> str:
     return ""
 
 
-def gain_of(squares: FloatArray, others: FloatArray, rounding: float = 0.0) -> float:
+def gain_of(squares: FloatArray, other_squares: FloatArray, rounding: float = 0.0) -> float:
     """Return by how many standard errors squared errors are smaller than others, in logarithms.
 
     The gain is the mean of g = log(others / squares) by its standard error. Errors up to `rounding`
@@ -67,6 +67,6 @@ def gain_of(squares: FloatArray, others: FloatArray, rounding: float = 0.0) -> f
     differ by chance, and from processor to processor.
     """
     tiny = np.finfo(float).tiny
-    least = max(rounding**2, tiny)
-    gain = np.log(np.maximum(others, least) / np.maximum(squares, least))
+    smallest = max(rounding**2, tiny)
+    gain = np.log(np.maximum(other_squares, smallest) / np.maximum(squares, smallest))
     return float(gain.mean() / max(gain.std(ddof=1) / np.sqrt(len(gain)), tiny))

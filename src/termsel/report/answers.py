@@ -9,7 +9,7 @@ from __future__ import annotations
 import platform
 from collections.abc import Iterator
 
-from termsel.auto.auto import EXACT
+from termsel.auto.auto import MAX_EXACT_POINTS
 from termsel.core.display.numbers import rounded
 from termsel.core.errors import counted, first_of
 from termsel.data.record.base import plain
@@ -109,7 +109,7 @@ def _accuracy(record: Record) -> Iterator[Block]:
                    f"{rounded(strategy.predicted)} px.")
         yield Detail(
             f"Cross-validation repeated the whole choice in {strategy.folds} folds."
-            if strategy.folds > EXACT + 1 else
+            if strategy.folds > MAX_EXACT_POINTS + 1 else
             "Cross-validation left out each point in turn from the chosen model.")
     if record.final:
         what = "features" if record.data.counts.lines else "points"

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from termsel.auto.auto import EXACT, Auto
+from termsel.auto.auto import MAX_EXACT_POINTS, Auto
 from termsel.auto.compare import compare
-from termsel.auto.exact import exact, exact_view
+from termsel.auto.exact import minimal_fit, minimal_view
 from termsel.auto.folds import folds_of
 from termsel.auto.rule import Choice, method_of
 from termsel.auto.validated import has_pole
@@ -223,10 +223,10 @@ def _choose(clean: Observations, auto: Auto, watch: _Watch, seed: int) -> _Chose
             raise TermselError(
                 f"one point is not enough for a model. {_unused_rpc(data, auto)}".strip(),
                 hint="Measure more.")
-        choice = auto.choose_features(data, watch.method) if is_enough else exact(data)
-        if choice and is_enough and len(features) > EXACT:
+        choice = auto.choose_features(data, watch.method) if is_enough else minimal_fit(data)
+        if choice and is_enough and len(features) > MAX_EXACT_POINTS:
             # An oblique view that the points determine exactly has no errors to be chosen by.
-            view = exact_view(data, choice, auto)
+            view = minimal_view(data, choice, auto)
             is_enough = view is choice
             choice = view
         if choice is None:

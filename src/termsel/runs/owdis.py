@@ -19,7 +19,7 @@ import numpy as np
 
 from termsel.auto.auto import Auto
 from termsel.auto.folds import FOLDS_WITH_LINES
-from termsel.auto.rule import CLEARLY, Choice
+from termsel.auto.rule import CLEAR_MARGIN, Choice
 from termsel.auto.validated import gain_of
 from termsel.core.errors import TermselError
 from termsel.data.coordinates.places import spatial_order
@@ -53,9 +53,9 @@ def with_selected_lines(control: FitData, choice: Choice, auto: Auto,
         f"OWDIS selects {len(selected.features.lines)} of {len(lines)} lines. With these the "
         f"points are predicted {'better' if gain > 0 else 'worse'} by {abs(gain):.2g} standard "
         "errors")
-    if gain <= CLEARLY:
+    if gain <= CLEAR_MARGIN:
         return replace(choice, reason=f"{choice.reason} {comparison}; it must be better by more "
-                                      f"than {CLEARLY:g}."), None
+                                      f"than {CLEAR_MARGIN:g}."), None
     errors = _held_out(control, auto, seed)
     if errors is None:
         return choice, None
@@ -63,9 +63,9 @@ def with_selected_lines(control: FitData, choice: Choice, auto: Auto,
     honest = gain_of(squares, squares_alone)
     comparison += (f", and {'better' if honest > 0 else 'worse'} by {abs(honest):.2g} where it "
                    "selects without them")
-    if honest <= CLEARLY or squares.sum() >= squares_alone.sum():
+    if honest <= CLEAR_MARGIN or squares.sum() >= squares_alone.sum():
         return replace(choice, reason=f"{choice.reason} {comparison}; both must be more than "
-                                      f"{CLEARLY:g}, and the RMSE smaller."), None
+                                      f"{CLEAR_MARGIN:g}, and the RMSE smaller."), None
     reason = f"{with_lines.reason} {comparison}, so these lines are used."
     return replace(with_lines, reason=reason), errors
 
@@ -102,7 +102,7 @@ def _held_out(control: FitData, auto: Auto, seed: int) -> FloatArray | None:
     for fold in range(FOLDS_WITH_LINES):
         is_out = np.isin(np.arange(len(control)), order[fold::FOLDS_WITH_LINES])
         selected = _selected(control.take(~is_out), seed)
-        choice = None if selected is None else auto.choose(selected, whole=False)
+        choice = None if selected is None else auto.choose(selected, with_contained=False)
         if choice is None:
             return None
         errors[is_out[:len(points)]] = choice.chosen.errors(points.take(is_out[:len(points)]))

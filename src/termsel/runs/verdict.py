@@ -14,7 +14,7 @@ import numpy as np
 from msgspec.structs import replace as changed
 
 from termsel.auto.auto import Auto
-from termsel.auto.blunders import MOST, find_blunders, judge_others
+from termsel.auto.blunders import MAX_BLUNDER_SHARE, find_blunders, judge_others
 from termsel.auto.contradictions import Division
 from termsel.auto.rule import Choice, method_of
 from termsel.data.exchanged import Exchange, errors_by_others, exchange_of
@@ -173,7 +173,7 @@ def judge_independent(observations: Observations, choice: Choice | None,
     if suspects is None or not suspects.blunders.any():
         return Verdict(), observations
     # Where most contradict the model it is the model, or their datum, that is in doubt.
-    if suspects.blunders.mean() > MOST and by_geometry is None:
+    if suspects.blunders.mean() > MAX_BLUNDER_SHARE and by_geometry is None:
         count = int(suspects.blunders.sum())
         subject = ("The independent check point contradicts" if len(points) == 1 else
                    f"{count} of {len(points)} independent check points contradict")
