@@ -28,6 +28,7 @@ from termsel.report.blocks import (
     Code,
     Detail,
     Document,
+    Fact,
     Note,
     Section,
     Statement,
@@ -67,7 +68,7 @@ def document(record: Record, view: View | None = None, picture: str = "",
     title = record.data.source if record.strategy else f"{record.data.source}: {record.problem}"
     return Document(
         title, _made_by(record),
-        (*first_screen(record), *_fitted_in(record), *_first_picture(view, picture)),
+        (*_first_lines(record, view), *_fitted_in(record), *_first_picture(view, picture)),
         (*(Section(title, blocks) for title, answer in (
             ("How accurate is it?", _accuracy(record)),
             ("Is it better than conventional models?", _compared(record, view)),
@@ -76,6 +77,21 @@ def document(record: Record, view: View | None = None, picture: str = "",
             ("Which terms and features were selected, and why?", selected(record, view, picture)),
             ("How can it be repeated?", _repeated(record, view))) if (blocks := tuple(answer))),
          *further))
+
+
+_ON_A_PAGE = {": --verbose": " below", "; --verbose lists them": ", listed below",
+              "; --verbose shows the option that leaves them out": ""}
+"""What a page says in place of the option that shows more on a terminal."""
+
+
+def _first_lines(record: Record, view: View | None) -> Iterator[Fact]:
+    """Yield the first screen; a page, which shows all else below, names no option for it."""
+    for fact in first_screen(record):
+        text = fact.text
+        if view is not None:
+            for on_screen, on_page in _ON_A_PAGE.items():
+                text = text.replace(on_screen, on_page)
+        yield Fact(text, fact.label)
 
 
 def _first_picture(view: View | None, picture: str) -> Iterator[Block]:
