@@ -16,7 +16,7 @@ pytest.importorskip("termsel_photos", reason="termsel-photos is not installed: "
 
 import termsel
 from termsel import FeatureSet, FitData, Points, TermselError
-from termsel.testing import checks
+from termsel.testing import checks, invoke
 from termsel_photos.known.cameras import CAMERAS
 from termsel_photos.known.interior import interior_of
 from termsel_photos.known.lens import Lens
@@ -197,3 +197,20 @@ def test_real_photos_are_resected() -> None:
         fitted = KNOWN_CAMERA.fit(FitData.of(features))
         errors.append(fitted.held_out_rmse)
     assert np.median(errors) < 9.0
+
+
+@pytest.mark.slow
+def test_photos_of_one_flight_share_their_camera(tmp_path: Path) -> None:
+    files = []
+    for seed in range(4):
+        control, _, _ = photo(7, seed=seed, lens=Lens(-0.03))
+        rows = [f"{name},{line},{sample},{x},{y},{z}" for name, (line, sample), (x, y, z) in zip(
+            control.points.ids, control.points.image, control.points.ground, strict=True)]
+        files.append(tmp_path / f"{seed}.csv")
+        files[-1].write_text("\n".join(["id,line,sample,x,y,z", *rows]), encoding="utf-8")
+    done = invoke("flight-camera", *files, "--crs", CRS, "--size", *SIZE, "--focal", "3600", "-o",
+                  tmp_path / "camera.json")
+    assert done.exit_code == 0, done.stderr
+    camera = json.loads((tmp_path / "camera.json").read_text("utf-8"))
+    assert abs(camera["focal"] / FOCAL - 1.0) < max(3.0 * camera["focal_spread"], 0.01)
+    assert abs(camera["distortion"][0] + 0.03) < 0.03

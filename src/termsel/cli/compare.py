@@ -11,13 +11,16 @@ import click
 from termsel.cli.bars import study_bar
 from termsel.cli.completion import complete
 from termsel.cli.messages import echo, say_written, show_messages
-from termsel.cli.options.run_options import parse_settings
+from termsel.cli.options.run_options import COLUMNS_OPTION, parse_settings
 from termsel.cli.options.shared import progress_option, remote_option
 from termsel.cli.tables import print_table
 from termsel.cli.topics import Whole
 from termsel.core.errors import TermselError, counted, printable
 from termsel.core.interrupts import INTERRUPTED
 from termsel.core.options import MOST_RUNS
+
+FAILED = 1
+"""Exit code where an image has no result; all others have theirs."""
 
 
 @click.command()
@@ -31,6 +34,10 @@ from termsel.core.options import MOST_RUNS
 @click.option("--lines", metavar="FILES", multiple=True,
               help="Files of lines; they go with the points of the same name.")
 @click.option("--crs", metavar="CRS", help="CRS of the ground coordinates of all files.")
+@click.option("--dem", metavar="FILE", help="Raster of heights for the points of all files.")
+@COLUMNS_OPTION
+@click.option("--accept", metavar="RMSE",
+              help="Largest RMSE with which an image is fit for use, such as 5m or 2px.")
 @click.option("--model", metavar="NAMES", shell_complete=complete("models"),
               help="Sensor models, with commas between them.")
 @click.option("--solver", metavar="NAMES", shell_complete=complete("solvers"),
@@ -84,7 +91,8 @@ def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: 
     """Compare problems, models and solvers over many seeds, or run many images.
 
     A study file or the options say what is combined. Every combination is a cell, and every
-    finished cell is kept at once: whatever ends the command, the same command goes on.
+    finished cell is kept at once: whatever ends the command, the same command goes on. Of many
+    images each gets a verdict: fit for use, doubtful or unfit. The exit code is 1 where one failed.
 
     \b
     Examples:
@@ -93,6 +101,7 @@ def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: 
       termsel compare --problem rfm-terms --solver ga,ica,pso --seeds 30 \\
           --evaluations 10000 --out study
       termsel compare --points 'images/*.csv' --crs EPSG:4979 --out result
+      termsel compare --points 'images/*.csv' --dem dem.tif --accept 5m --out result
       termsel compare --status study
     """
     if status is not None:
@@ -125,6 +134,9 @@ def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: 
     written = write_outputs(results, out)
     echo(summary(results), nl=False)
     say_written(written)
+    if results.failures:
+        echo(f"{results.failures} of {counted(len(results.cells), 'image')} failed.", err=True)
+        sys.exit(FAILED)
 
 
 def _asked(files: tuple[Path, ...], options: dict[str, Any]) -> tuple[Path | None, dict[str, Any]]:
@@ -165,9 +177,11 @@ def _keys_of(options: dict[str, Any]) -> dict[str, Any]:
     if options["dataset"] is not None and files:
         raise TermselError("--dataset cannot be combined with files",
                            hint="Give --dataset NAMES, or --points FILES.")
-    if options["crs"] is not None and not files:
-        raise TermselError("--crs requires --points or --lines",
-                           hint="Give --points FILES, or leave --crs out.")
+    of_files = {name: options[name] for name in ("crs", "dem", "columns")
+                if options[name] is not None}
+    if of_files and not files:
+        raise TermselError(f"--{next(iter(of_files))} requires --points or --lines",
+                           hint="Give --points FILES, or leave it out.")
     if options["dataset"] is not None:
         keys["data"] = [text.strip() for text in options["dataset"].split(",")]
     settings = parse_settings(options["settings"])
@@ -176,14 +190,14 @@ def _keys_of(options: dict[str, Any]) -> dict[str, Any]:
 
         of_reading = {option.name: settings.pop(option.name) for option in read_options()
                       if option.name in settings} if settings else {}
-        keys["data"] = [{**files, **({"crs": options["crs"]} if options["crs"] else {}),
+        keys["data"] = [{**files, **of_files,
                          **({"options": of_reading} if of_reading else {})}]
     budget = {name: options[name] for name in ("evaluations", "generations", "patience", "seconds",
                                                   "timeout")
               if options[name] is not None}
     optional = {"budget": budget, "options": settings,
             "exports": list(options["exports"]), "seeds": options["seeds"],
-            "splits": options["splits"], "measure": options["measure"],
+            "splits": options["splits"], "measure": options["measure"], "accept": options["accept"],
             "measures": [text.strip() for text in (options["measures"] or "").split(",") if text]}
     return {**keys, **{key: value for key, value in optional.items() if value}}
 

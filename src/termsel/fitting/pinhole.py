@@ -137,7 +137,7 @@ class Cameras:
 
     def moved(self, step: FloatArray) -> Cameras:
         """Return the cameras moved by steps of the unknowns (s, 9)."""
-        return Cameras(_turns(step[:, :3]) @ self.rotation, self.shift + step[:, 3:6],
+        return Cameras(rotations(step[:, :3]) @ self.rotation, self.shift + step[:, 3:6],
                        self.focal * np.exp(np.clip(step[:, 6], -1.0, 1.0)),
                        self.middle + step[:, 7:])
 
@@ -486,7 +486,7 @@ def _grid(*, mirrored: bool) -> FloatArray:
     return grid
 
 
-def _turns(turn: FloatArray) -> FloatArray:
+def rotations(turn: FloatArray) -> FloatArray:
     """Return the rotations by vectors (s, 3), shape (s, 3, 3) (Rodrigues)."""
     angle = np.linalg.norm(turn, axis=1)[:, None, None]
     x, y, z = (turn / np.maximum(angle[:, 0], np.finfo(float).tiny)).T

@@ -26,8 +26,8 @@ class Prediction:
     rmse, low, high : float
         RMSE of points, and the interval that holds it with probability `level` [px].
     level : float
-    metres : tuple of 3 floats, or None
-        The same on the ground [m], where the CRS tells metres.
+    pixel : float or None
+        How far a pixel is on the ground [m], where the CRS tells metres.
     method : str
         How it was found, in a clause.
     points : int
@@ -38,9 +38,15 @@ class Prediction:
     low: float
     high: float
     level: float
-    metres: tuple[float, float, float] | None
+    pixel: float | None
     method: str
     points: int
+
+    @property
+    def metres(self) -> tuple[float, float, float] | None:
+        """RMSE and interval on the ground [m]."""
+        size = self.pixel
+        return None if size is None else (size * self.rmse, size * self.low, size * self.high)
 
     @property
     def sentence(self) -> str:
@@ -74,10 +80,8 @@ def prediction_of(result: Result) -> Prediction | None:
                   f"{counted(points, 'control point')}, and predicted those")
     else:
         method = f"by cross-validation of {counted(points, 'control point')}"
-    size = _pixel(result)
-    figures = expected.rmse, expected.low, expected.high
-    metres = None if size is None else tuple(size * figure for figure in figures)
-    return Prediction(*figures, expected.level, metres, method, points)  # type: ignore[arg-type]
+    return Prediction(expected.rmse, expected.low, expected.high, expected.level, _pixel(result),
+                      method, points)
 
 
 def _pixel(result: Result) -> float | None:

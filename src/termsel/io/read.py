@@ -16,7 +16,7 @@ from termsel.core.errors import TermselError, counted, unknown_name
 from termsel.core.files.atomic import private_folder
 from termsel.core.files.names import is_there
 from termsel.core.isolation.faults import PluginFault, is_own, name_of
-from termsel.core.isolation.parts import parts
+from termsel.core.isolation.parts import missing, parts
 from termsel.core.options import Option
 from termsel.data.coordinates.crs import normalise
 from termsel.data.coordinates.earth import say_turned, unknown_crs
@@ -48,6 +48,9 @@ Origin = Callable[..., FeatureSet]
 
 READ_OPTIONS = (Z_UNIT, RPC_OFFSET, RPC_SCALE, REPEATED, IMAGE_ORIGIN)
 """Options of reading, whatever the format; see `read_options` for those of packages."""
+
+CHOSEN, PROJECTION = "auto", "projection"
+"""CRS of degrees of a map whose projection is chosen, and the option of reading that does so."""
 
 OF_PACKAGES = "reading"
 """Place of parts with options of reading: each has `options`, and `read` features with them."""
@@ -91,7 +94,8 @@ def read(
         ``areas_as="centroid"``, points.
     crs : str, optional
         CRS of the ground coordinates, where no file declares it: "EPSG:n", "WGS84 UTM 16N", WKT, a
-        string of PROJ, "local", or a file that has it: WKT, a raster or a layer. By default that
+        string of PROJ, "local", or a file that has it: WKT, a raster or a layer; "auto" for degrees
+        on an old map, whose projection is chosen (termsel-photos). By default that
         in a file NAME.prj next to the points.
     format : str or sequence of str, optional
         Names of the readers, in the order of the files; by default judged by the content.
@@ -142,6 +146,11 @@ def read(
     given_options = {key: value for key, value in options.items() if value is not None}
     of_packages = {option.name: given_options.pop(option.name) for option in read_options()
                    if option.name in given_options} if given_options else {}
+    if crs is not None and crs.strip().lower() == CHOSEN:
+        if not any(option.name == PROJECTION for option in read_options()):
+            raise missing(PROJECTION, f"--crs {CHOSEN} requires")
+        of_packages.setdefault(PROJECTION, CHOSEN)
+        crs = "EPSG:4326"
     of_readers = given_options
     if columns:
         of_readers["columns"] = columns_text(columns)

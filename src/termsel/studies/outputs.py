@@ -11,7 +11,7 @@ from pathlib import Path
 from termsel.core.errors import counted
 from termsel.core.files.atomic import atomic_path, write_text
 from termsel.core.isolation.parts import missing, package_of_name, parts
-from termsel.studies.cells.table import csv_of
+from termsel.studies.cells.table import csv_of, with_notes_once
 from termsel.studies.study import Study
 
 NAMES = ("study.csv", "study.parquet")
@@ -49,7 +49,7 @@ def write_outputs(study: Study, out: Path) -> list[Path]:
 
     study.parquet holds the same as study.csv, where pandas and pyarrow are installed.
     """
-    write_text(out / "study.csv", csv_of(study.rows, study.columns))
+    write_text(out / "study.csv", csv_of(with_notes_once(study.rows), study.columns))
     written = [out / "study.csv"]
     if find_spec("pandas") and find_spec("pyarrow"):
         with atomic_path(out / "study.parquet") as path:

@@ -80,7 +80,12 @@ class Study(Glance):
     def rows(self) -> Rows:
         """One row a cell; of the strategy auto alone the worst first."""
         return Rows(rows_of(self.cells, self.records, self.spec.strategies,
-                            self.spec.measures), self.columns)
+                            self.spec.measures, self.spec.accept), self.columns)
+
+    @property
+    def failures(self) -> int:
+        """Number of images of the strategy auto that have no result."""
+        return sum(row["strategy"] == "auto" and row["state"] == "failed" for row in self.rows)
 
     @cached_property
     def remarks(self) -> tuple[str, ...]:

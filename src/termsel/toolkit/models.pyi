@@ -37,6 +37,7 @@ from termsel.fitting.pinhole import camera_next_to as camera_next_to
 from termsel.fitting.pinhole import camera_of as camera_of
 from termsel.fitting.pinhole import cameras_of as cameras_of
 from termsel.fitting.pinhole import pinhole_of as pinhole_of
+from termsel.fitting.pinhole import rotations as rotations
 from termsel.fitting.residuals import Rmse as Rmse
 from termsel.fitting.scene import errors_on_ground as errors_on_ground
 from termsel.fitting.sky import ground_where_held as ground_where_held

@@ -6,6 +6,8 @@ from termsel.studies.cells.journal import CellRecord as CellRecord
 from termsel.studies.cells.table import TIMES as TIMES
 from termsel.studies.cells.table import WAITING as WAITING
 from termsel.studies.cells.table import Row as Row
+from termsel.studies.cells.table import usual_notes as usual_notes
+from termsel.studies.cells.verdicts import VERDICTS as VERDICTS
 from termsel.studies.execution.executors import AHEAD as AHEAD
 from termsel.studies.execution.executors import DIED as DIED
 from termsel.studies.execution.executors import Stop as Stop

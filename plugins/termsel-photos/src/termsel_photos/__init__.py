@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 from termsel import DatasetSpec, Method, Recipe, SensorModel, hookimpl
 from termsel.toolkit import Part
@@ -13,6 +14,10 @@ from termsel_photos.maps import MAP, simulate_map
 from termsel_photos.photo import PHOTO
 from termsel_photos.problem import RECIPE
 from termsel_photos.radial import Radial2D, Radial3D
+from termsel_photos.sheets.reading import SheetOptions
+
+if TYPE_CHECKING:
+    import click
 
 __all__ = ["KnownFrame", "Radial2D", "Radial3D", "simulate_map"]
 
@@ -31,8 +36,17 @@ def termsel_methods() -> Iterable[Method]:
 
 @hookimpl
 def termsel_parts() -> Iterable[Part]:
-    """Return the options of reading that say what is known of a camera."""
-    return [Part("reading", CameraOptions())]
+    """Return the options of reading that say what is known of a camera, or of an old map."""
+    return [Part("reading", CameraOptions()), Part("reading", SheetOptions())]
+
+
+@hookimpl
+def termsel_commands(cli: click.Group) -> None:
+    """Add the commands of a series of sheets and of a flight."""
+    from termsel_photos.commands import flight_camera, map_series
+
+    cli.add_command(map_series)
+    cli.add_command(flight_camera)
 
 
 @hookimpl

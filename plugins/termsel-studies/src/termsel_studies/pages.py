@@ -6,21 +6,17 @@ import math
 import re
 from collections import Counter
 from collections.abc import Container
-from itertools import chain
 from typing import Any
 
 from termsel import Study, TableBlock
 from termsel.toolkit import counted, printable
 from termsel.toolkit.files import markdown_text
-from termsel.toolkit.studies import Row
+from termsel.toolkit.studies import VERDICTS, Row, usual_notes
 from termsel_studies.claims import claims
 from termsel_studies.fronts import front_figures
 from termsel_studies.groups import Groups, group
 from termsel_studies.significance import compare_methods, effect_size, medians_of
 from termsel_studies.summaries import Summary, summaries
-
-USUAL = 1 / 2
-"""Share of the images from which on a note of theirs is said once."""
 
 
 def remarks_of(study: Study) -> list[str]:
@@ -28,13 +24,6 @@ def remarks_of(study: Study) -> list[str]:
     images = [row for row in study.rows if row["strategy"] == "auto"]
     return [*study.remarks, *(f"{number} of {len(images)} images: {note}"
                               for note, number in usual_notes(images).items())]
-
-
-def usual_notes(images: list[Row]) -> dict[str, int]:
-    """Return the notes that most images have, with the number of these."""
-    count = Counter(chain.from_iterable(row["notes"] or () for row in images))
-    return {note: number for note, number in count.items()
-            if number > 1 and number > USUAL * len(images)}
 
 
 def tables_of(study: Study, *, brief: bool = False) -> tuple[list[TableBlock], list[str]]:
@@ -86,20 +75,33 @@ def tables_of(study: Study, *, brief: bool = False) -> tuple[list[TableBlock], l
 def _images(rows: list[Row]) -> TableBlock:
     """Return one row an image, in the order of the study's rows; see `remarks_of` for the rest."""
     usual = usual_notes(rows)
-    return TableBlock(
-        f"{counted(len(rows), 'image')}, worst first",
-        ("image", "model", "predicted RMSE [px]", "ICP RMSE [px]", "blunders", "notes"),
-        [(str(row["data"]) + (f", split {row['split']}" if row["split"] else ""),
-          str(row["chosen"] or row["state"]), _predicted(row), shown(row["independent"], 3),
-          ", ".join(row["blunders"] or ()), _said(row, usual))
-         for row in rows], keys=[row["cell"] for row in rows])
+    without = any(row["without_height"] for row in rows)
+    header = ["image", "verdict", "reason", "model", "RMSE [px]", "RMSE [m]", "ICP RMSE [px]",
+              "blunders", *(["without height"] if without else []), "place", "notes"]
+    lines = []
+    for row in rows:
+        name = str(row["data"]) + (f", split {row['split']}" if row["split"] else "")
+        metres = row["independent_m"] if row["predicted_m"] is None else row["predicted_m"]
+        lines.append((name, row["verdict"] or row["state"], row["why"] or "",
+                      str(row["chosen"] or row["state"]), _predicted(row),
+                      "" if metres is None else f"{metres:.3g}", shown(row["independent"], 3),
+                      ", ".join(row["blunders"] or ()),
+                      *([str(row["without_height"] or "")] if without else []),
+                      row["place"] or "", _said(row, usual)))
+    verdicts = Counter(row["verdict"] for row in rows if row["verdict"])
+    counts = ", ".join(f"{verdicts[verdict]} {verdict}" for verdict in VERDICTS
+                       if verdicts[verdict])
+    title = f"{counted(len(rows), 'image')}, worst first" + (f": {counts}" if counts else "")
+    return TableBlock(title, tuple(header), lines, keys=[row["cell"] for row in rows])
 
 
 def _said(row: Row, usual: Container[str]) -> str:
     """Return why an image has no result, or the doubts about it and its own notes."""
     notes = [note for note in row["notes"] or () if note not in usual]
-    text = row["reason"] or " ".join(notes)
+    text = "" if row["reason"] and row["why"] else row["reason"] or " ".join(notes)
     # A note repeats a doubt with what to do about it: the longer one is enough.
+    if row["doubt"] and row["doubt"] in (row["why"] or ""):
+        return text
     doubts = re.split(r"(?<=[.?]) (?=[A-Z])", row["doubt"] or "")
     return " ".join([*(doubt for doubt in doubts if doubt and doubt not in text), text]).strip()
 

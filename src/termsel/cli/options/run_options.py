@@ -61,6 +61,8 @@ _OPTIONS = (
     click.option("--crs", metavar="CRS",
                  help="CRS of the ground coordinates: EPSG:4979 for longitude, latitude and "
                       "ellipsoidal height; `local` for plane coordinates without a CRS."),
+    click.option("--candidates", metavar="FILE", type=click.Path(path_type=Path),
+                 help="Projections that --crs auto chooses from for an old map, a CRS a line."),
     click.option("--fit-crs", metavar="CRS",
                  help="Coordinates the model is fitted in: geodetic, projected (UTM), geocentric, "
                       "polar (stereographic) or EPSG:n. auto takes the one of the first four that "
@@ -140,6 +142,7 @@ class RunOptions:
     image_lines: str | None
     columns: str | None
     crs: str | None
+    candidates: Path | None
     fit_crs: str | None
     off: tuple[str, ...]
     role: tuple[str, ...]
@@ -166,7 +169,9 @@ class RunOptions:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "options", parse_settings(
-            self.settings, fit_crs=self.fit_crs, off=",".join(self.off) or None,
+            self.settings, fit_crs=self.fit_crs,
+            projection_candidates=None if self.candidates is None else str(self.candidates),
+            off=",".join(self.off) or None,
             role=",".join(self.role) or None, then=self.then))
         if self.dataset is not None and self.files:
             raise TermselError("--dataset cannot be combined with files",

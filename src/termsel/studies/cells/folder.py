@@ -111,7 +111,7 @@ def table_of(spec: Spec) -> dict[str, Any]:
         "data": [_written(source) for source in spec.data if not source.features],
         "seeds": spec.seeds, "splits": spec.splits, "budget": spec.budget, "options": spec.options,
         "exports": spec.exports, "measure": spec.measure,
-        "measures": spec.measures}
+        "measures": spec.measures, "accept": spec.accept and str(spec.accept)}
     return {key: value for key, value in table.items() if value}
 
 

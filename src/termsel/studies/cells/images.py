@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from pathlib import Path
+from collections import Counter
+from collections.abc import Collection, Mapping
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from termsel.core.errors import TermselError
@@ -22,10 +23,11 @@ def folders_of(labels: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
         labels_of_data.setdefault((cell["data"], cell["split"]), []).append(cell)
     names = {}
     owners = dict[str, str]()
+    images = _images_of({str(cell["data"]) for cell in labels.values()})
     for key, cell in labels.items():
-        # By its data, by its split if that is not the first, and by its problem and its method
+        # By its image, by its split if that is not the first, and by its problem and its method
         # where several have the same data.
-        name = file_word(str(cell["data"]), "image")
+        name = images[str(cell["data"])]
         if cell["split"]:
             name += f"-split-{cell['split']}"
         for part in ("problem", "solver"):
@@ -38,6 +40,24 @@ def folders_of(labels: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
         names[key] = name
         owners[name.casefold()] = str(cell["data"])
     return names
+
+
+def _images_of(data: Collection[str]) -> dict[str, str]:
+    """Return the name of the image of each data: that of its file, without folders and suffix.
+
+    Or all of the data's name, where two would have the same.
+    """
+    whole = {label: file_word(label, "image") for label in data}
+    short = {label: file_word(_stem(label), "image") for label in data}
+    count = Counter(name.casefold() for name in short.values())
+    return {label: short[label] if count[short[label].casefold()] == 1 else whole[label]
+            for label in data}
+
+
+def _stem(label: str) -> str:
+    """Return the name of a file of points, or of its part, without folder and suffix."""
+    files, _, part_name = label.partition("#")
+    return PurePosixPath(part_name or files.partition(" + ")[0]).stem
 
 
 def file_word(text: str, empty: str) -> str:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import chain
 from typing import Any
 
 from termsel.core.files.texts import csv_table
 from termsel.data.coordinates.earth import in_words
 from termsel.studies.cells.journal import CellRecord
 from termsel.studies.cells.neighbours import Batch, batch_of
+from termsel.studies.cells.verdicts import Accept, verdicts_of
 
 LABELS = ("problem", "data", "split", "strategy", "model", "criterion", "solver", "seed")
 """What tells the cells of a study apart, in the order in which they vary."""
@@ -18,10 +21,14 @@ WAITING = "waiting"
 """State of a cell that is not finished."""
 
 _SEARCH = ("objective", "fitness", "optimum", "proven", "refinement_evaluations", "generations")
-_AUTO = ("chosen", "predicted", "predicted_low", "predicted_high", "excluded", "blunders")
+_AUTO = ("verdict", "why", "chosen", "predicted", "predicted_low", "predicted_high", "predicted_m",
+         "independent_m", "pixel", "excluded", "blunders", "without_height")
 _BOTH = ("control", "n_control", "check", "n_check", "independent", "n_independent", "n_terms",
          "n_features", "evaluations")
 _LAST = ("place", "doubt", "notes", "cell", "seconds", "cpu_seconds")
+
+USUAL = 1 / 2
+"""Share of the images from which on a note of theirs is said once."""
 
 TIMES = ("seconds", "cpu_seconds")
 """Columns that differ from run to run."""
@@ -36,8 +43,12 @@ def columns_of(strategies: Sequence[str], measures: Sequence[str] = ()) -> tuple
 
 
 def rows_of(cells: Mapping[str, Mapping[str, Any]], records: Mapping[str, CellRecord],
-            strategies: Sequence[str], measures: Sequence[str] = ()) -> list[Row]:
-    """Return one row a cell, waiting without a record, in order; of auto alone worst first."""
+            strategies: Sequence[str], measures: Sequence[str] = (),
+            accept: Accept | None = None) -> list[Row]:
+    """Return one row a cell, waiting without a record, in order; of auto alone worst first.
+
+    Images have verdicts, by the largest RMSE that is accepted where one is.
+    """
     # One set of columns for all rows; what a row has not is None.
     columns = columns_of(strategies, measures)
     doubts = batch_of_records(cells, records).doubts
@@ -51,6 +62,9 @@ def rows_of(cells: Mapping[str, Mapping[str, Any]], records: Mapping[str, CellRe
             "doubt": " ".join([*_sentence(record.figures.get("doubt")),
                                *doubts.get(str(labels["data"]), ())])}
         rows.append({name: values.get(name) for name in columns})
+    if "verdict" in columns:
+        for row, (verdict, why) in zip(rows, verdicts_of(rows, accept), strict=True):
+            row |= {"verdict": verdict, "why": why}
     return sorted(rows, key=_badness) if tuple(strategies) == ("auto",) else rows
 
 
@@ -69,6 +83,26 @@ def _badness(row: Row) -> tuple[int, float]:
     """Return what sorts images worst first: those that failed, then by predicted RMSE."""
     figure = row["predicted"] if row["predicted"] is not None else row["independent"]
     return (0, 0.0) if figure is None else (1, -figure)
+
+
+def usual_notes(rows: Iterable[Row]) -> dict[str, int]:
+    """Return the notes that most images have, with the number of these."""
+    images = [row for row in rows if row["strategy"] == "auto"]
+    count = Counter(chain.from_iterable(row["notes"] or () for row in images))
+    return {note: number for note, number in count.items()
+            if number > 1 and number > USUAL * len(images)}
+
+
+def with_notes_once(rows: Sequence[Row]) -> list[Row]:
+    """Return rows in which a note that most images have stands in the first of these alone."""
+    usual = usual_notes(rows)
+    told: set[str] = set()
+    shorter = []
+    for row in rows:
+        notes = [note for note in row["notes"] or () if note not in told]
+        told |= usual.keys() & set(notes)
+        shorter.append({**row, "notes": notes or None})
+    return shorter
 
 
 def csv_of(rows: Sequence[Row], columns: Sequence[str]) -> str:

@@ -19,6 +19,7 @@ from termsel.core.threads import one_blas_thread
 from termsel.data.features import BoolArray, FeatureSet
 from termsel.fitting.figures import finite_or_none
 from termsel.fitting.residuals import Rmse
+from termsel.io.accuracy_tags import prediction_of
 from termsel.io.export import export, writer_of
 from termsel.io.result_folder import write_result
 from termsel.plugins.loading import attempt
@@ -275,12 +276,20 @@ def _measures(cell: Cell, result: Result, notes: list[str]) -> dict[str, float |
 def _figures_of(result: Result) -> dict[str, Any]:
     predicted = result.predicted
     selection = result.selection
+    prediction = prediction_of(result)
+    pixel = None if prediction is None else prediction.pixel
+    on_ground = result.accuracy and result.accuracy.ground
+    if pixel is None and on_ground and result.accuracy:
+        pixel = on_ground.total / max(result.accuracy.image.total, 1e-12)
     excluded = sum(outlier.excluded for outlier in result.outliers)
     return {
         "chosen": result.strategy and result.strategy.chosen, **_rmse(result.rmse),
         "predicted": predicted and finite_or_none(predicted.rmse),
         "predicted_low": predicted and finite_or_none(predicted.low),
         "predicted_high": predicted and finite_or_none(predicted.high),
+        "predicted_m": prediction and prediction.metres and prediction.metres[0],
+        "independent_m": on_ground and on_ground.total, "pixel": pixel,
+        "without_height": len(result.features.without_height()),
         "n_terms": len(selection.terms), "n_features": len(selection.features),
         "evaluations": result.evaluations, "excluded": excluded,
         "blunders": [outlier.id for outlier in result.outliers], "notes": list(result.notes)}

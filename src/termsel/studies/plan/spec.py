@@ -9,16 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from termsel.core.errors import is_printable
+from termsel.core.errors import TermselError, is_printable
 from termsel.core.options import MOST_RUNS, SEED, Configurable
 from termsel.data.features import FeatureSet
 from termsel.formats.toml_files import read_toml
+from termsel.studies.cells.verdicts import Accept
 from termsel.studies.plan.places import Path as Keys
 from termsel.studies.plan.places import Places, places_of
 
 PARTS = ("problems", "models", "solvers", "criteria", "methods")
 KEYS = ("title", *PARTS, "strategies", "data", "seeds", "splits", "budget", "options", "exports",
-        "measure", "measures")
+        "measure", "measures", "accept")
 FILES = ("points", "lines", "areas", "rpc")
 READING = ("crs", "format", "dem", "columns")
 DATA_KEYS = ("dataset", *FILES, *READING, "options")
@@ -74,6 +75,7 @@ class Spec:
     exports: tuple[str, ...] = ()  # formats of the models of auto
     measure: str | None = None  # what methods are compared by
     measures: tuple[str, ...] = ()  # figures of plugins, a column each
+    accept: Accept | None = None  # the largest RMSE with which an image is fit for use
     places: Places = field(default_factory=Places)
 
 
@@ -120,6 +122,12 @@ def spec_of(table: Mapping[str, Any], places: Places | None = None) -> Spec:
     title = table.get("title", "")
     if not isinstance(title, str):
         raise at.error(("title",), "the title is not text")
+    accept = table.get("accept")
+    if accept is not None:
+        try:
+            accept = Accept.of(str(accept))
+        except TermselError as error:
+            raise at.error(("accept",), error.what, error.hint) from error
     return Spec(
         title, components["problems"], components["models"], components["solvers"],
         components["criteria"], methods, strategies=strategies or usual,
@@ -128,7 +136,7 @@ def spec_of(table: Mapping[str, Any], places: Places | None = None) -> Spec:
         splits=_numbers(at, "splits", table.get("splits", 1), first=0),
         budget=budget, options=_options(at, ("options",), table.get("options", {})),
         exports=_texts(at, ("exports",), table.get("exports", [])), measure=measure,
-        measures=measures, places=at)
+        measures=measures, accept=accept, places=at)
 
 
 def _as_in_a_file(value: Any) -> Any:

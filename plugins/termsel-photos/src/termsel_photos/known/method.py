@@ -146,7 +146,7 @@ class KnownCamera(Method):
     def fit(self, control: FitData) -> Fit:
         """Fit the camera by all features."""
         known = _interior(control)
-        mirrored = _is_mirrored(control)
+        mirrored = is_mirrored(control)
         model = KnownFrame.of(known, mirrored=mirrored)
         fitted = self.estimator.fit(model, control.features, control.scaling,
                                     np.ones(len(model.terms), dtype=bool),
@@ -195,7 +195,7 @@ def _interior(control: FitData) -> Interior:
     return known
 
 
-def _is_mirrored(control: FitData) -> bool:
+def is_mirrored(control: FitData) -> bool:
     """Return whether the image is mirrored: lines run to the left of samples from above."""
     points = control.features.points
     plan = control.scaled.points.ground[:, :2]

@@ -17,9 +17,17 @@ from termsel import (
     image_equations,
 )
 from termsel.toolkit import LOCAL, to_ecef
-from termsel.toolkit.models import Cameras, Measured, Pinhole, camera_of, cameras_of
+from termsel.toolkit.models import (
+    Cameras,
+    Measured,
+    Pinhole,
+    camera_of,
+    cameras_of,
+    rotations,
+)
 from termsel_photos.known.interior import Interior
 from termsel_photos.known.lens import FloatArray, Lens
+from termsel_photos.known.turns import vector_of
 
 TAILS = 4.0
 """Degrees of freedom of measurements: few are wild, but more than normal errors are (Lange, Little
@@ -248,17 +256,13 @@ class KnownFrame(SensorModel):
 
     def values_of(self, camera: Cameras) -> FloatArray:
         """Return the values of terms of one camera, (9,)."""
-        from scipy.spatial.transform import Rotation  # not for every choice
-
-        turn = Rotation.from_matrix(camera.rotation[0] @ self._downwards.T).as_rotvec()
+        turn = vector_of(camera.rotation[0] @ self._downwards.T)
         middle = camera.middle[0] - self._middle
         return np.array([*turn, *camera.shift[0], np.log(camera.focal[0] / self.focal), *middle])
 
     def camera_of(self, values: FloatArray) -> Cameras:
         """Return the cameras of values of terms (s, 9)."""
-        from scipy.spatial.transform import Rotation
-
-        rotation = Rotation.from_rotvec(values[:, :3]).as_matrix() @ self._downwards
+        rotation = rotations(values[:, :3]) @ self._downwards
         return Cameras(rotation, values[:, 3:6], self.focal * np.exp(values[:, 6]),
                                self._middle + values[:, 7:])
 

@@ -1,0 +1,88 @@
+"""Commands of this package: the projection of a series of sheets, the camera of a flight."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from termsel import read
+from termsel.toolkit import echo, print_table, say_written, write_text
+
+_PATH = click.Path(path_type=Path)
+
+
+@click.command("map-series")
+@click.argument("sheets", nargs=-1, required=True, type=_PATH, metavar="SHEETS...")
+@click.option("--crs", metavar="CRS", default="EPSG:4326", show_default=True,
+              help="CRS of the points of all sheets.")
+@click.option("--prime-meridian", metavar="NAME", help="Meridian that their longitudes count from.")
+@click.option("--candidates", type=_PATH, metavar="FILE",
+              help="Projections to choose from, a CRS a line.")
+@click.option("--century", type=click.IntRange(15, 21), help="Century of the maps.")
+@click.option("--output", "-o", type=_PATH, metavar="FILE",
+              help="File to write the projection to; --fit-crs takes what it holds.")
+def map_series(sheets: tuple[Path, ...], crs: str, prime_meridian: str | None,
+               candidates: Path | None, century: int | None, output: Path | None) -> None:
+    """Choose the projection that all sheets of a series were drawn in.
+
+    SHEETS are files of points, a sheet each. The projection that predicts the points of all of them
+    best is chosen, so that sheets of few points borrow from the others.
+
+    \b
+    Examples:
+      termsel map-series sheets/*.csv --prime-meridian ferro
+      termsel map-series sheets/*.csv --candidates mine.txt -o projection.txt
+      termsel compare --points 'sheets/*.csv' --crs EPSG:4326 \\
+          --set "projection=$(cat projection.txt)" --out result
+    """
+    from termsel_photos.sheets.choosing import chosen_of, tried_projections
+    from termsel_photos.sheets.reading import candidates_of
+
+    meridian = {} if prime_meridian is None else {"prime_meridian": prime_meridian}
+    read_sheets = [read(sheet, crs=crs, **meridian) for sheet in sheets]
+    projections = candidates_of(read_sheets, candidates and str(candidates), century)
+    tried = tried_projections(read_sheets, projections)
+    chosen = chosen_of(tried, projections)
+    print_table(("projection", "predicted px", "CRS"),
+                [(one.name, f"{one.rmse:.3g}", one.crs) for one in tried])
+    echo(f"\nChosen for {len(sheets)} sheets: {chosen.name}. --set projection='{chosen.crs}'")
+    if output is not None:
+        write_text(output, f"{chosen.crs}\n")
+        say_written([output])
+
+
+@click.command("flight-camera")
+@click.argument("photos", nargs=-1, required=True, type=_PATH, metavar="PHOTOS...")
+@click.option("--crs", metavar="CRS", help="CRS of the points of all photos.")
+@click.option("--size", nargs=2, type=int, metavar="LINES SAMPLES", required=True,
+              help="Size of the photos [px].")
+@click.option("--focal", type=click.FloatRange(0, min_open=True), metavar="PX",
+              help="Rough focal length, where it is known.")
+@click.option("--output", "-o", type=_PATH, required=True, metavar="FILE.json",
+              help="Camera file to write; the option camera takes it.")
+def flight_camera(photos: tuple[Path, ...], crs: str | None, size: tuple[int, int],
+                  focal: float | None, output: Path) -> None:
+    """Find the camera that all photos of one flight share, from their control points.
+
+    PHOTOS are files of points with heights, a photo each. Focal length and radial distortion are
+    those that the points of all photos together call for.
+
+    \b
+    Examples:
+      termsel flight-camera photos/*.csv --crs EPSG:32633 --size 3648 5472 -o camera.json
+      termsel compare --points 'photos/*.csv' --crs EPSG:32633 --set camera=camera.json --out result
+    """
+    import json
+
+    from termsel_photos.known.sharing import shared_camera
+
+    camera = shared_camera([read(photo, crs=crs) for photo in photos], size, focal)
+    content = {"focal": round(camera.focal, 3), "focal_spread": round(camera.spread, 6),
+               "distortion": [round(camera.k1, 8)],
+               "source": f"{camera.photos} photos, {camera.points} control points"}
+    write_text(output, json.dumps(content, indent=2) + "\n")
+    echo(f"Focal length {camera.focal:,.1f} px, to {100 * camera.spread:.2g} %; "
+         f"k1 {camera.k1:.3g}; "
+         f"{camera.sigma:.2g} px of {camera.points} points in {camera.photos} photos.")
+    say_written([output])

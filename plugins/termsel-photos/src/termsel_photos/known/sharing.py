@@ -1,0 +1,178 @@
+"""The camera that photos of one flight share, from the control points of all.
+
+For a focal length f and a radial distortion k1 each photo has its own best place and turn, and a
+cost, twice the minus logarithm of its likelihood (see `Measured`). The sum of the costs over all
+photos is the profile of f and k1: its least value is the shared camera, and where it is larger by
+1, f is one standard deviation off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from termsel import FeatureSet, FitData, TermselError
+from termsel.toolkit.models import Measured, Pinhole, camera_next_to, camera_of
+from termsel_photos.known.interior import REACH, Interior
+from termsel_photos.known.lens import FloatArray
+from termsel_photos.known.method import is_mirrored
+from termsel_photos.known.model import KnownFrame
+
+FEWEST = 4
+"""Points of a photo from which on it says something of its camera."""
+
+WIDE, CLOSE = 9, 7
+"""Focal lengths that are tried at first, and about the best of them."""
+
+LEAST, MOST = 0.4, 6.0
+"""Least and largest focal length, by the longer side of the photo."""
+
+DISTORTIONS = (-0.1, -0.05, -0.02, 0.0, 0.02, 0.05)
+"""Radial distortions k1 that are tried."""
+
+HELD = 1e-6
+"""Relative standard deviation that holds a focal length where it is tried."""
+
+USUAL_DISTORTION = 0.03
+"""Standard deviation of k1 beforehand."""
+
+
+@dataclass(frozen=True)
+class SharedCamera:
+    """The camera of all photos.
+
+    Parameters
+    ----------
+    focal : float
+        [px].
+    spread : float
+        Relative standard deviation of it.
+    k1 : float
+        See `Lens`.
+    sigma : float
+        Root mean square of what its measurements leave, with robust weights [px].
+    photos, points : int
+        How many told it.
+    """
+
+    focal: float
+    spread: float
+    k1: float
+    sigma: float
+    photos: int
+    points: int
+
+
+def shared_camera(photos: Sequence[FeatureSet], size: tuple[int, int],
+                  focal: float | None = None) -> SharedCamera:
+    """Return the camera that photos share, found from the control points of all.
+
+    Parameters
+    ----------
+    photos : sequence of FeatureSet
+        With heights, each of `FEWEST` points at least; others say nothing and are left out.
+    size : tuple of int
+        Lines and samples of all photos.
+    focal : float, optional
+        Rough focal length [px].
+
+    Raises
+    ------
+    TermselError
+        If no photo tells the camera.
+    """
+    data = [FitData.of(replace(photo, image_size=size)) for photo in photos
+            if len(photo.points) >= FEWEST and not photo.without_height()]
+    if not data:
+        raise TermselError(f"no photo has {FEWEST} control points with heights",
+                           hint="Measure more points, and give them heights.")
+    flight = _Flight(data)
+    longer = float(max(size))
+    ends = (LEAST * longer, MOST * longer) if focal is None else (0.8 * focal, 1.25 * focal)
+    step = (ends[1] / ends[0]) ** (1.0 / (WIDE - 1))
+    best = flight.least(np.geomspace(*ends, WIDE), 0.0)
+    k1 = 0.0
+    for _ in range(2):
+        costs = np.array([flight.cost(best, distortion)[0] + (distortion / USUAL_DISTORTION) ** 2
+                          for distortion in DISTORTIONS])
+        k1 = _vertex(np.array(DISTORTIONS), costs)[0]
+        best = flight.least(best * np.geomspace(1.0 / step, step, CLOSE), k1)
+        step = step ** 0.4
+    near = best * np.exp(np.array([-0.01, 0.0, 0.01]))
+    centre, bent = _vertex(np.log(near), np.array([flight.cost(at, k1)[0] for at in near]))
+    spread = float(np.clip(1.0 / np.sqrt(max(bent, 1e-9)), 1e-4, 0.1))
+    found = float(np.exp(centre))
+    return SharedCamera(found, spread, float(k1), flight.cost(found, k1)[1], len(data),
+                        sum(len(photo) for photo in data))
+
+
+class _Flight:
+    """Photos with the cameras that were found for them last, from which others are found."""
+
+    def __init__(self, photos: Sequence[FitData]) -> None:
+        self.photos = photos
+        self.mirrored = [is_mirrored(photo) for photo in photos]
+        self.cameras: list[Pinhole | None] = [None] * len(photos)
+
+    def least(self, focals: FloatArray, k1: float) -> float:
+        """Return the focal length of the least cost."""
+        costs = [self.cost(float(focal), k1)[0] for focal in focals]
+        if not np.isfinite(costs).any():
+            raise TermselError("no focal length has all control points in front of the cameras",
+                               hint="Check lines, samples and heights.")
+        return float(focals[int(np.argmin(costs))])
+
+    def cost(self, focal: float, k1: float) -> tuple[float, float]:
+        """Return the costs of all photos together, and the noise that they leave [px]."""
+        total = 0.0
+        squares = []
+        for i, photo in enumerate(self.photos):
+            model = self._model(i, focal, k1)
+            camera = self._camera(i, model.measured(photo.scaled, photo.features.noise))
+            if camera is None:
+                return np.inf, np.inf
+            self.cameras[i] = camera
+            rows = np.ones((1, len(photo)))
+            # Twice the minus logarithm of the likelihood, whose size depends on the noise, too.
+            total += float(camera.measured.costs(camera.camera, rows, camera.sigma)[0]) \
+                + 4.0 * len(photo) * float(np.log(camera.sigma))
+            squares.append((camera.sigma * photo.scaling.image_scale) ** 2)
+        return total, float(np.sqrt(np.median(squares)))
+
+    def _model(self, i: int, focal: float, k1: float) -> KnownFrame:
+        """Return the model of a photo with a focal length and a distortion that are held."""
+        photo = self.photos[i]
+        size = photo.features.image_size
+        assert size is not None
+        line, sample = (np.array(size) - 1.0) / 2.0
+        reach = REACH * float(np.hypot(*size)) / 2.0
+        known = Interior(focal, HELD, float(line), float(sample), reach, (k1, 0.0, 0.0, 0.0, 0.0))
+        return KnownFrame.of(known, mirrored=self.mirrored[i]).prepared(
+            photo.scaling, photo.features.crs)
+
+    def _camera(self, i: int, measured: Measured) -> Pinhole | None:
+        """Return the camera of a photo: next to the last one, farther away as f is longer."""
+        before = self.cameras[i]
+        if before is None:
+            return camera_of(measured)
+        grown = measured.focal / before.camera.focal
+        shift = before.camera.shift * np.array([1.0, 1.0, float(grown[0])])
+        start = replace(before.camera, shift=shift, focal=np.array([measured.focal]))
+        return camera_next_to(measured, start) or camera_of(measured)
+
+
+def _vertex(at: FloatArray, costs: FloatArray) -> tuple[float, float]:
+    """Return where a parabola through the least cost and its neighbours is least, and its bend.
+
+    The bend is half of the second derivative: where the cost is larger by 1.
+    """
+    finite = np.isfinite(costs)
+    i = int(np.clip(np.argmin(np.where(finite, costs, np.inf)), 1, len(at) - 2))
+    if not finite[i - 1:i + 2].all():
+        return float(at[np.argmin(np.where(finite, costs, np.inf))]), 0.0
+    a, b, _ = np.polyfit(at[i - 1:i + 2] - at[i], costs[i - 1:i + 2], 2)
+    if a <= 0.0:
+        return float(at[np.argmin(costs)]), 0.0
+    return float(np.clip(at[i] - b / (2.0 * a), at[i - 1], at[i + 1])), float(a)

@@ -1,0 +1,105 @@
+"""Options of reading for old maps: the meridian that longitudes count from, and the projection."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from termsel import FeatureSet, Option, TermselError
+from termsel.toolkit import FloatArray, is_geographic, normalise, to_wgs84
+from termsel_photos.sheets.candidates import (
+    Projection,
+    projections_of_file,
+    usual_projections,
+)
+from termsel_photos.sheets.meridians import MERIDIANS, meridian_of
+
+log = logging.getLogger(__name__)
+
+AUTO = "auto"
+_NEXT = 2
+
+OPTIONS = (
+    Option("prime_meridian", None, "Meridian that longitudes of the points count from: "
+           f"{', '.join(MERIDIANS)}, or degrees from Greenwich."),
+    Option("projection", None, "Projection that a map was drawn in, in which its model is fitted: "
+           "a CRS, or auto for the one that predicts the points best."),
+    Option("projection_candidates", None, "File of the projections that auto chooses from, a CRS a "
+           "line. By default those that maps of such places were drawn in."),
+    Option("map_century", None, "Century of the map, such as 18: auto tries what was used then.",
+           int, 15, 21))
+
+
+class SheetOptions:
+    """Options of reading that say in what coordinates an old map was drawn."""
+
+    options = OPTIONS
+
+    def read(self, features: FeatureSet, given: Mapping[str, Any],
+             image: Path | str | None) -> FeatureSet:
+        """Return features with longitudes from Greenwich, and the projection of the map."""
+        values = {option.name: option.parse(given[option.name]) for option in OPTIONS
+                  if given.get(option.name) is not None}
+        if "prime_meridian" in values:
+            features = from_greenwich(features, meridian_of(values["prime_meridian"]))
+        if values.keys() & {"projection_candidates", "map_century"} \
+                and values.get("projection") != AUTO:
+            raise TermselError("candidates and century are for a projection that is chosen",
+                               hint="Add --set projection=auto, or --crs auto.")
+        if "projection" not in values:
+            return features
+        if values["projection"] != AUTO:
+            return replace(features, fit_crs=normalise(values["projection"]))
+        from termsel_photos.sheets.choosing import chosen_of, tried_projections  # it fits models
+
+        candidates = candidates_of([features], values.get("projection_candidates"),
+                                   values.get("map_century"))
+        tried = tried_projections([features], candidates)
+        chosen = chosen_of(tried, candidates)
+        others = [one for one in tried if one is not chosen][:_NEXT]
+        log.warning("Note: of %d projections %s predicts the points best: %.3g px (%s). "
+                    "Coordinates stay in %s.", len(tried), chosen.name, chosen.rmse,
+                    ", ".join(f"{one.name} {one.rmse:.3g} px" for one in others), features.crs)
+        return replace(features, fit_crs=normalise(chosen.crs))
+
+
+def from_greenwich(features: FeatureSet, meridian: float) -> FeatureSet:
+    """Return features whose longitudes count from Greenwich, of such that count from a meridian.
+
+    Raises
+    ------
+    TermselError
+        If the ground coordinates are no degrees.
+    """
+    if not is_geographic(features.crs):
+        raise TermselError(f"longitudes in degrees have a prime meridian, not {features.crs}",
+                           hint="Leave prime_meridian out, or state --crs EPSG:4326.")
+    shift = [meridian, 0.0, 0.0]
+    points = replace(features.points, ground=features.points.ground + shift)
+    lines = replace(features.lines, ground=features.lines.ground + shift)
+    return features.with_(points=points, lines=lines)
+
+
+def candidates_of(sheets: list[FeatureSet], file: str | None,
+                  century: int | None) -> list[Projection]:
+    """Return the projections to choose from: of a file, or of the place and the century."""
+    if file is not None:
+        return projections_of_file(file)
+    return usual_projections(places_of_sheets(sheets), century)
+
+
+def places_of_sheets(sheets: list[FeatureSet]) -> FloatArray:
+    """Return the south-western and north-eastern corner of all sheets [deg], (2, 2)."""
+    corners = []
+    for sheet in sheets:
+        ground = sheet.ground_vertices().copy()
+        ground[:, 2] = 0.0
+        degrees = to_wgs84(sheet.crs)(ground)[:, :2]
+        corners += [degrees.min(axis=0), degrees.max(axis=0)]
+    every = np.array(corners)
+    return np.stack([every.min(axis=0), every.max(axis=0)])

@@ -1,0 +1,111 @@
+"""Old maps: prime meridians, and the projection that a map or a series was drawn in."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+pytest.importorskip("termsel_photos", reason="termsel-photos is not installed: "
+                    "pip install -e plugins/termsel-photos")
+pytest.importorskip("pyproj", reason="pyproj is not installed: pip install pyproj")
+
+import termsel
+from termsel import FeatureSet, Points, TermselError
+from termsel.testing import invoke
+from termsel.toolkit import normalise, transformation
+from termsel_photos.sheets.candidates import projections_of_file, usual_projections
+from termsel_photos.sheets.choosing import chosen_of, tried_projections
+from termsel_photos.sheets.meridians import meridian_of
+
+CONIC = "+proj=lcc +lat_1=43.5 +lat_2=48.5 +lat_0=46 +lon_0=8 +datum=WGS84 +units=m +no_defs"
+FLAT = "+proj=eqc +lat_ts=46 +lon_0=8 +datum=WGS84 +units=m +no_defs"
+EVERY = f"{CONIC}  # conic\n{FLAT}  # flat\n\n+proj=merc +lon_0=8 +datum=WGS84 +units=m +no_defs\n"
+
+FloatArray = NDArray[np.float64]
+
+
+def sheet(n: int, seed: int, middle: tuple[float, float] = (8.0, 46.0),
+          extent: float = 6.0) -> FeatureSet:
+    """Return points of a map in a conic projection; measured to 1 px."""
+    rng = np.random.default_rng(seed)
+    degrees = np.array(middle) + rng.uniform(-extent, extent, (n, 2)) * [1.0, 0.7]
+    ground = np.column_stack([degrees, np.zeros(n)])
+    x, y, _ = transformation("EPSG:4326", CONIC)(ground).T
+    image = np.column_stack([-y, x]) / (extent * 40.0) + 4000.0 + rng.normal(0.0, 1.0, (n, 2))
+    return FeatureSet(Points(tuple(f"P{i}" for i in range(n)), image,
+                             np.column_stack([degrees, np.full(n, np.nan)])), crs="EPSG:4326")
+
+
+def table(features: FeatureSet, path: Path, shift: float = 0.0) -> Path:
+    rows = [f"{name},{line},{sample},{x - shift},{y}" for name, (line, sample), (x, y, _) in zip(
+        features.points.ids, features.points.image, features.points.ground, strict=True)]
+    path.write_text("\n".join(["id,line,sample,x,y", *rows]), encoding="utf-8")
+    return path
+
+
+def test_degrees_from_ferro_or_paris_are_degrees(tmp_path: Path) -> None:
+    features = sheet(6, 0)
+    path = table(features, tmp_path / "ferro.csv", meridian_of("Ferro"))
+    read = termsel.read(path, crs="EPSG:4326", prime_meridian="ferro")
+    np.testing.assert_allclose(read.points.ground[:, :2], features.points.ground[:, :2])
+    assert meridian_of("2.5") == 2.5
+    with pytest.raises(TermselError, match="no prime meridian 'atlantis'"):
+        meridian_of("atlantis")
+    with pytest.raises(TermselError, match="longitudes in degrees"):
+        termsel.read(path, crs="local", prime_meridian="paris")
+
+
+def test_the_projection_of_a_map_is_found(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    candidates = tmp_path / "mine.txt"
+    candidates.write_text(EVERY, encoding="utf-8")
+    read = termsel.read(table(sheet(10, 1), tmp_path / "map.csv"), crs="auto",
+                        projection_candidates=str(candidates))
+    assert read.fit_crs == normalise(CONIC)
+    assert "of 3 projections conic predicts the points best" in caplog.text
+    stated = termsel.read(tmp_path / "map.csv", crs="EPSG:4326", projection=FLAT)
+    assert stated.fit_crs == normalise(FLAT)
+    with pytest.raises(TermselError, match="for a projection that is chosen"):
+        termsel.read(tmp_path / "map.csv", crs="EPSG:4326", map_century=18)
+
+
+def test_sheets_of_a_series_share_their_projection(tmp_path: Path) -> None:
+    sheets = [sheet(10, 2), *(sheet(4, seed, (7.0 + seed / 5, 45.0), 1.5) for seed in range(3))]
+    candidates = tmp_path / "mine.txt"
+    candidates.write_text(EVERY, encoding="utf-8")
+    files = [table(one, tmp_path / f"{i}.csv") for i, one in enumerate(sheets)]
+    done = invoke("map-series", *files, "--candidates", candidates, "-o", tmp_path / "found.txt")
+    assert done.exit_code == 0
+    assert "Chosen for 4 sheets: conic" in done.stdout
+    assert (tmp_path / "found.txt").read_text("utf-8").startswith("+proj=lcc")
+
+
+def test_independent_points_take_no_part() -> None:
+    features = sheet(10, 3)
+    wild = features.points.image.copy()
+    wild[7:] += 500.0
+    roles = ("control",) * 7 + ("independent",) * 3
+    other = replace(features, points=replace(features.points, image=wild, roles=roles))
+    mine = replace(features, points=features.points.take(np.arange(10) < 7))
+    candidates = usual_projections(np.array([[2.0, 41.0], [14.0, 51.0]]), 20)[:3]
+    assert tried_projections([other], candidates) == tried_projections([mine], candidates)
+
+
+def test_projections_that_predict_alike_are_the_first_one() -> None:
+    small = sheet(8, 4, extent=0.05)
+    candidates = usual_projections(np.array([[7.95, 45.97], [8.05, 46.03]]))
+    assert chosen_of(tried_projections([small], candidates[:2]), candidates[:2]).crs == \
+        candidates[0].crs
+
+
+def test_a_century_has_its_projections(tmp_path: Path) -> None:
+    place = np.array([[2.0, 41.0], [14.0, 51.0]])
+    assert "Bonne" in {one.name for one in usual_projections(place, 19)}
+    assert "UTM 32N" not in {one.name for one in usual_projections(place, 19)}
+    (tmp_path / "wrong.txt").write_text("EPSG:4326\nnonsense\n", encoding="utf-8")
+    with pytest.raises(TermselError) as refused:
+        projections_of_file(tmp_path / "wrong.txt")
+    assert refused.value.line == 2

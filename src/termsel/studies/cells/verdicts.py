@@ -1,0 +1,140 @@
+"""What each image of a batch is fit for: a verdict with its reason.
+
+Where an accuracy is asked for, the interval of the RMSE decides: an image is fit for use where all
+of the interval meets it, unfit where none does, and doubtful between. Where none is asked for, an
+image is unfit only where it has no result or lies elsewhere, and doubtful where something
+contradicts its figures.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from termsel.core.errors import TermselError, counted
+from termsel.data.record.figures import MANY_INDEPENDENT, rmse_interval
+
+FIT, DOUBTFUL, UNFIT = VERDICTS = "fit for use", "doubtful", "unfit"
+
+MANY_BLUNDERS = 0.2
+"""Share of the points that are blunders, from which on the rest is doubted, too."""
+
+UNLIKE = 4.0
+"""RMSE by the median of the batch from which on an image stands out."""
+
+FEW_IMAGES = 4
+"""Images below which none stands out."""
+
+_ACCEPT = re.compile(r"\s*([0-9]*\.?[0-9]+(?:[eE][+-]?[0-9]+)?)\s*(px|m)\s*")
+
+
+@dataclass(frozen=True)
+class Accept:
+    """The largest RMSE that is accepted."""
+
+    size: float
+    unit: str
+
+    @classmethod
+    def of(cls, text: str) -> Accept:
+        """Return what a text such as "5m" or "2px" asks for.
+
+        Raises
+        ------
+        TermselError
+            If it is no number with the unit m or px.
+        """
+        found = _ACCEPT.fullmatch(text)
+        if found is None or not 0.0 < float(found[1]) < math.inf:
+            raise TermselError(f"accept does not take {text!r:.40}",
+                               hint="Give the largest RMSE with its unit: 5m or 2px.")
+        return cls(float(found[1]), found[2])
+
+    def __str__(self) -> str:
+        return f"{self.size!r}{self.unit}"
+
+
+def verdicts_of(rows: Sequence[Mapping[str, Any]], accept: Accept | None,
+                ) -> list[tuple[str, str]]:
+    """Return the verdict on each image of a batch, and why; "" for cells that are not finished.
+
+    Rows are those of the table of a study, with their figures.
+    """
+    usual = _usual_size(rows)
+    return [_verdict(row, accept, usual) for row in rows]
+
+
+def _usual_size(rows: Sequence[Mapping[str, Any]]) -> float:
+    """Return the median RMSE of the images [px]; infinite of a few."""
+    sizes = [interval[1] for row in rows if (interval := _interval(row, "px")) is not None]
+    return float(np.median(sizes)) if len(sizes) >= FEW_IMAGES else math.inf
+
+
+def _verdict(row: Mapping[str, Any], accept: Accept | None, usual: float) -> tuple[str, str]:
+    if row["strategy"] != "auto" or row["state"] == "waiting":
+        return "", ""
+    if row["state"] != "done":
+        return UNFIT, str(row["reason"] or "no result")
+    if row["doubt"] and "mirror" not in str(row["doubt"]):
+        return UNFIT, str(row["doubt"])
+    against = _contradictions(row, usual)
+    if accept is None:
+        if _interval(row, "px") is None:
+            return DOUBTFUL, "nothing tells its accuracy"
+        if against:
+            return DOUBTFUL, "; ".join(against)
+        return FIT, "nothing contradicts its figures"
+    interval = _interval(row, accept.unit)
+    if interval is None:
+        return DOUBTFUL, f"its RMSE is not known in {accept.unit}"
+    low, rmse, high = interval
+    asked = f"{accept.size:g} {accept.unit}"
+    figure = f"RMSE {rmse:.3g} {accept.unit} ({low:.3g} to {high:.3g})"
+    if low > accept.size:
+        return UNFIT, f"{figure}, and {asked} is asked for"
+    if high > accept.size:
+        return DOUBTFUL, "; ".join([f"{figure}, so {asked} is not certain", *against])
+    return (DOUBTFUL, "; ".join(against)) if against else (FIT, f"{figure} meets {asked}")
+
+
+def _interval(row: Mapping[str, Any], unit: str) -> tuple[float, float, float] | None:
+    """Return the RMSE of an image between the ends of its interval, the surer one; None if not
+    known.
+    """
+    n = row["n_independent"] or 0
+    measured = row["independent"]
+    predicted = row["predicted"]
+    if measured is not None and (n >= MANY_INDEPENDENT or predicted is None):
+        low, high = rmse_interval(measured, 2.0 * n)
+        interval = low, measured, high
+    elif predicted is not None and row["predicted_high"] is not None:
+        interval = row["predicted_low"], predicted, row["predicted_high"]
+    else:
+        return None
+    if unit == "px":
+        return interval
+    size = row["pixel"]
+    return None if size is None else (size * interval[0], size * interval[1], size * interval[2])
+
+
+def _contradictions(row: Mapping[str, Any], usual: float) -> list[str]:
+    """Return what makes the figures of an image doubtful."""
+    said = []
+    if row["doubt"]:
+        said.append(str(row["doubt"]).rstrip("."))
+    blunders = len(row["blunders"] or ())
+    points = (row["n_control"] or 0) + (row["excluded"] or 0)
+    if blunders > MANY_BLUNDERS * max(points, 1):
+        said.append(f"{counted(blunders, 'blunder')} among {counted(points, 'point')}")
+    high, measured = row["predicted_high"], row["independent"]
+    if high is not None and measured is not None and measured > high:
+        said.append(f"independent check points miss it by {measured:.3g} px, more than predicted")
+    interval = _interval(row, "px")
+    if interval is not None and interval[1] > UNLIKE * usual:
+        said.append(f"its RMSE is {interval[1] / usual:.0f} times that of the usual image")
+    return said
