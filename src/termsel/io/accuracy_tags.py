@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from termsel.core.errors import counted
+from termsel.core.errors import TermselError, counted
 from termsel.core.version import __version__
 from termsel.data.coordinates.metres import in_metres
 from termsel.report.accuracy import are_computed, expected_of, lattice_of, predicted_first
@@ -92,15 +92,19 @@ def _pixel(result: Result) -> float | None:
     heights = np.nan_to_num(points.ground[:, 2])
     image = result.fit.project(np.column_stack([points.ground[:, :2], heights]))
     squares = []
-    here = result.fit.locate(image, heights)
-    for step in np.eye(2):
-        metres = in_metres(result.features.crs, points.ground,
-                           (result.fit.locate(image + step, heights) - here)[:, :2])
-        if metres is None:
-            return None
-        squares.append((metres**2).sum(axis=1))
-    mean = float(np.nanmean(squares))
-    return mean**0.5 if np.isfinite(mean) else None
+    try:
+        here = result.fit.locate(image, heights)
+        for step in np.eye(2):
+            metres = in_metres(result.features.crs, points.ground,
+                               (result.fit.locate(image + step, heights) - here)[:, :2])
+            if metres is None:
+                return None
+            squares.append((metres**2).sum(axis=1))
+    except TermselError:  # a model that sees all places at one point, say
+        return None
+    known = np.concatenate(squares)
+    known = known[np.isfinite(known)]
+    return float(np.sqrt(known.mean())) if len(known) else None
 
 
 def accuracy_tags(result: Result) -> dict[str, str]:

@@ -41,7 +41,8 @@ def map_series(sheets: tuple[Path, ...], crs: str, prime_meridian: str | None,
 
     meridian = {} if prime_meridian is None else {"prime_meridian": prime_meridian}
     read_sheets = [read(sheet, crs=crs, **meridian) for sheet in sheets]
-    projections = candidates_of(read_sheets, candidates and str(candidates), century)
+    projections = candidates_of(read_sheets, None if candidates is None else str(candidates),
+                                century)
     tried = tried_projections(read_sheets, projections)
     chosen = chosen_of(tried, projections)
     print_table(("projection", "predicted px", "CRS"),

@@ -99,7 +99,7 @@ class ByKnownCamera(Estimator):
 def _errors_of(model: KnownFrame, camera: Pinhole, image: FloatArray) -> FloatArray:
     """Return measured minus predicted of each point by the others, as the lens has them."""
     ideal = camera.measured.image
-    return image - model.with_lens(ideal - camera.errors)
+    return np.asarray(image - model.with_lens(ideal - camera.errors))
 
 
 def _through_lens(model: KnownFrame, camera: Pinhole, ground: FloatArray) -> FloatArray:
