@@ -62,6 +62,7 @@ def kept_scores(names: Sequence[str], kept: Mapping[tuple[str, str], Score],
         for method in METHODS:
             found = kept.get((method.title, name)) or score(Work(method, name))
             if file is not None and (method.title, name) not in kept:
+                file.parent.mkdir(parents=True, exist_ok=True)
                 with file.open("a") as stream:
                     stream.write(json.dumps(asdict(found)) + "\n")
             yield found

@@ -29,6 +29,8 @@ PAGES: dict[str, tuple[str, ...]] = {
     "paper-konugurthi": ("paper_tables", "konugurthi"),
     "control-features": ("control_features",),
     "benchmark": ("open_benchmark",),
+    "measured": ("measured_benchmark", "--kept", KEPT),
+    "short-budgets": ("short_budgets", "--kept", KEPT),
     "flat-control": ("flat_control",),
     "few-points": ("few_points", "--processes", "2", "--kept", KEPT),
     "plan": ("plan", "--processes", "2"),

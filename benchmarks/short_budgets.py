@@ -151,6 +151,7 @@ def main() -> None:
     runs = kept_runs(asked.kept)
     for row in new_runs(runs, asked.methods, asked.budgets, asked.seeds):
         if asked.kept is not None:
+            asked.kept.parent.mkdir(parents=True, exist_ok=True)
             with asked.kept.open("a") as stream:
                 stream.write(json.dumps(row) + "\n")
         add(runs, row)

@@ -50,7 +50,7 @@ def test_folds_are_frozen() -> None:
 @pytest.mark.parametrize("name", ["measured-map-001", "measured-photo-042"])
 def test_each_point_is_hidden_once(name: str) -> None:
     one = measured(name)
-    hidden_ids = []
+    hidden_ids: list[str] = []
     for fold in range(one.trials):
         seen, hidden = one.trial(fold)
         assert not set(seen.points.ids) & set(hidden.ids)

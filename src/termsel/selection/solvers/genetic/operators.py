@@ -92,7 +92,7 @@ def _crossed(segment: AnySegment, parents_1: Genes, parents_2: Genes,
         case CustomSegment():
             return segment.crossed(parents_1, parents_2, rng)
         case _:
-            swap = (_between_two_places(*parents_1.shape, rng) if points
+            swap = (_between_two_places(parents_1, rng) if points
                     else rng.random(parents_1.shape) < 0.5)
             return np.where(swap, parents_2, parents_1), np.where(swap, parents_1, parents_2)
 
@@ -199,7 +199,7 @@ def two_point_crossover(genes: Genes, probability: float, rng: np.random.Generat
     pairs = len(genes) // 2
     first = genes[0:2 * pairs:2]
     second = genes[1:2 * pairs:2]
-    swap = _between_two_places(*first.shape, rng)
+    swap = _between_two_places(first, rng)
     swap &= rng.random((pairs, 1)) < probability
     children = genes.copy()
     children[0:2 * pairs:2] = np.where(swap, second, first)
@@ -207,8 +207,9 @@ def two_point_crossover(genes: Genes, probability: float, rng: np.random.Generat
     return children
 
 
-def _between_two_places(n: int, size: int, rng: np.random.Generator) -> BoolArray:
-    """Return for n chromosomes which genes lie between two random places, shape (n, size)."""
+def _between_two_places(genes: Genes, rng: np.random.Generator) -> BoolArray:
+    """Return which genes (n, size) lie between two places, random ones for each chromosome."""
+    n, size = genes.shape
     places = np.sort(rng.integers(0, size + 1, (n, 2)), axis=1)
     number = np.arange(size)
     return (number >= places[:, :1]) & (number < places[:, 1:])
