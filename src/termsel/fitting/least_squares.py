@@ -118,10 +118,11 @@ def adjust(model: SensorModel, features: FeatureSet, terms: BoolArray,
         return np.asarray(b - A @ coefficients)
 
     residuals = residuals_of(equations, x)
+    if not np.isfinite(residuals).all():
+        return replace(adjustment, steps=0, converged=False)
+    solution = solve(equations, terms, used).coefficients
     steps = 0
-    converged = False
-    while np.isfinite(residuals).all():
-        solution = solve(equations, terms, used).coefficients
+    while True:
         # The share of the residuals that the tangent plane can still take away.
         gain = residuals - residuals_of(equations, solution)
         converged = bool(np.linalg.norm(gain) <= CONVERGENCE_OFFSET * np.linalg.norm(residuals)
@@ -145,6 +146,7 @@ def adjust(model: SensorModel, features: FeatureSet, terms: BoolArray,
         x = candidate
         equations = candidate_equations
         residuals = candidate_residuals
+        solution = candidate_adjustment.coefficients
         adjustment = replace(candidate_adjustment, coefficients=x)
         steps += 1
     return replace(adjustment, steps=steps, converged=converged)
