@@ -252,7 +252,7 @@ def test_an_rpc_of_another_place_is_named(vendors: Simulated) -> None:
         adjust(replace(vendors.block, images=tuple(images)))
     images[2] = replace(vendors.block.images[2], rpc=vendors.block.images[2].rpc)
     images[0] = replace(images[0], rpc=moved)
-    with pytest.raises(TermselError, match="'I1' is of another place"):
+    with pytest.raises(TermselError, match="'I1' is of another area"):
         adjust(replace(vendors.block, images=tuple(images)))
 
 
