@@ -128,21 +128,22 @@ def test_commands(words: tuple[str, ...], folder: Path, server, made_result: Pat
     assert "which is refused" in done.stderr
 
 
-@pytest.mark.skipif(shutil.which("gdalinfo") is None, reason="GDAL's programs are not installed")
-def test_programs_that_are_started_refuse_what_termsel_would_not_see(folder: Path, server) -> None:
-    """gdalinfo itself, under the variables that `termsel check` gives to each program."""
+@pytest.mark.parametrize("command", [
+    ("gdalinfo", "-stats"), ("gdaltransform",), ("otbcli_ReadImageInfo", "-in")],
+    ids=lambda command: command[0])
+def test_programs_that_are_started_refuse_what_termsel_would_not_see(
+        command: tuple[str, ...], folder: Path, server) -> None:
+    """Each program itself, under the variables that `termsel check` gives to it."""
+    if shutil.which(command[0]) is None:
+        pytest.skip(f"{command[0]} is not installed")
     pytest.importorskip("termsel_formats")
     from termsel_formats.check.base import NoAnswer, answer
 
     for number, name in enumerate(NAMES[:6]):
         path = folder / f"{number}.vrt"
         path.write_text(vrt(name.replace("@URL", server.url)))
-        for program in ("gdalinfo", "gdaltransform"):
-            try:
-                answer([shutil.which(program) or program, *(["-stats"] if program == "gdalinfo"
-                                                            else []), str(path)], "1 1 1\n")
-            except NoAnswer:
-                continue
+        with suppress(NoAnswer):
+            answer([shutil.which(command[0]), *command[1:], str(path)], "1 1 1\n")
 
 
 def test_names_that_a_user_types(folder: Path, server) -> None:
