@@ -52,9 +52,11 @@ TestOf = Callable[[Division], Test | None]
 MAX_BLUNDER_SHARE = 1 / 3
 """Largest share of blunders."""
 
-STEP_SHARE, MIN_STEP_SHARE = 0.34, 0.01
-"""Share of the points still to be set aside that one step takes, and of all points that it takes at
-least: of many points, the last steps would hardly differ."""
+STEP_SHARE = 0.34
+"""Share of the points still to be set aside that one step takes."""
+
+MIN_STEP_SHARE = 0.01
+"""Share of all points that a step takes at least: of many, the last steps would hardly differ."""
 
 CLEAR_RATIO = 1.5
 """Errors by the largest one of points in use, beyond which a point is a blunder under a model that
@@ -99,8 +101,10 @@ def _suspects_of(control: FitData, auto: Auto) -> Suspects | None:
     by_projection = _by_projection(control, auto, retained)
     if by_projection is not None:
         retained, test = by_projection
-    far, decided = test.far(len(control)), test.decided()
-    blunders, undecided = ~retained, retained & far & ~decided
+    far = test.far(len(control))
+    decided = test.decided()
+    blunders = ~retained
+    undecided = retained & far & ~decided
     cleared = _explained(control, auto, blunders | undecided)
     return test.suspects(blunders & ~cleared, blunders & ~cleared & ~(far & decided),
                          undecided & ~cleared, everything)
@@ -205,7 +209,8 @@ def judge_others(chosen: Fit, heights: bool, other_points: Points,
     The choice is that for control without blunders, with heights or not. None as for
     `find_blunders`, or without other points.
     """
-    control, count = chosen.control, len(chosen.control.points)
+    control = chosen.control
+    count = len(chosen.control.points)
     if not len(other_points):
         return None
     all_features = FitData.of(control.with_(points=control.points.join(other_points)), heights)
@@ -225,7 +230,8 @@ def _contradictions(all_features: FitData, is_other: BoolArray, used: BoolArray)
     if core is None:
         return None
     used, test = _judged_by_field(all_features, *_readmitted(all_features, *core, test_of_all))
-    blunders, decided = is_other & ~used, test.decided()
+    blunders = is_other & ~used
+    decided = test.decided()
     return test.suspects(blunders & decided, np.zeros_like(is_other), blunders & ~decided, is_other)
 
 
@@ -257,16 +263,19 @@ def _core(control: FitData, test_of_all: TestOfAll,
         test_of_fewer = test_of(Division(control, fewer))
         if test_of_fewer is None:
             break
-        used, test = fewer, test_of_fewer
+        used = fewer
+        test = test_of_fewer
     return used, test
 
 
 def _with_weight(control: FitData, test_of_all: TestOfAll) -> BoolArray:
     """Return the features that have weight under a robust quadratic polynomial."""
-    weightless, max_blunders = _weightless(control), int(MAX_BLUNDER_SHARE * len(control))
+    weightless = _weightless(control)
+    max_blunders = int(MAX_BLUNDER_SHARE * len(control))
     if weightless is not None and weightless.sum() <= max_blunders:
         return ~weightless
-    used, test = np.ones(len(control), dtype=bool), test_of_all()
+    used = np.ones(len(control), dtype=bool)
+    test = test_of_all()
     if test is not None:
         used[np.argsort(-test.strain, kind="stable")[:max_blunders]] = False
     return used
@@ -287,7 +296,8 @@ def _weightless(control: FitData) -> BoolArray | None:
 def _readmitted(control: FitData, used: BoolArray, test: Test, test_of_all: TestOfAll,
                 test_of: TestOf = Division.shrunken_test) -> tuple[BoolArray, Test]:
     """Admit features again that those in use predict; leave out those they no longer do."""
-    n, earlier_sets = len(control), set[bytes]()
+    n = len(control)
+    earlier_sets = set[bytes]()
     # A set of features that comes back would come back for ever.
     while used.tobytes() not in earlier_sets:
         earlier_sets.add(used.tobytes())
@@ -311,7 +321,8 @@ def _readmitted(control: FitData, used: BoolArray, test: Test, test_of_all: Test
         next_test = test_of_all() if next_used.all() else test_of(Division(control, next_used))
         if next_test is None:
             break
-        used, test = next_used, next_test
+        used = next_used
+        test = next_test
     return used, test
 
 
@@ -321,7 +332,8 @@ def _judged_by_field(control: FitData, used: BoolArray, test: Test) -> tuple[Boo
     Local deformation is no blunder, and what is small next to the error of a polynomial may be
     one.
     """
-    n, earlier_sets = len(control), set[bytes]()
+    n = len(control)
+    earlier_sets = set[bytes]()
     while used.tobytes() not in earlier_sets and (~used).sum() <= MAX_BLUNDER_SHARE * n:
         earlier_sets.add(used.tobytes())
         field_test = Division(control, used).local_test()

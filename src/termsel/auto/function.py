@@ -39,7 +39,8 @@ class _Projects(Polynomial):
     def predict(self, coefficients: FloatArray, control: FeatureSet,
                 ground: FloatArray) -> FloatArray:
         """Return scaled image positions, whatever the coefficients are."""
-        scaling, projection = self.scaling, self.projection
+        scaling = self.scaling
+        projection = self.projection
         assert scaling is not None
         assert projection is not None
         with blamed(projection, "project"):

@@ -36,13 +36,17 @@ from termsel.fitting.uncertainty import Spread
 from termsel.models.base import SensorModel
 from termsel.models.polynomial import Polynomial
 
-PHYSICAL_MIN_POINTS, PHYSICAL_MAX_POINTS = 6, 40
-"""Numbers of points for which there is a physical prior: fewer do not tell such images from
-others, and more gain nothing by it."""
+PHYSICAL_MIN_POINTS = 6
+"""Points from which on there is a physical prior: fewer do not tell such images from others."""
 
-PHYSICAL_MAX_CHOSEN, PHYSICAL_FEW_POINTS = 18, 12
-"""Points of control up to which auto tries it, and up to which points do not tell whether it
-predicts better than what stands without it. The final fit has the check points, too."""
+PHYSICAL_MAX_POINTS = 40
+"""Points up to which there is one: more gain nothing by it."""
+
+PHYSICAL_MAX_CHOSEN = 18
+"""Points of control up to which auto tries it. The final fit has the check points, too."""
+
+PHYSICAL_FEW_POINTS = 12
+"""Points up to which they do not tell whether it predicts better than what stands without it."""
 
 NEGLIGIBLE_LOG = 25.0
 """Logarithm by which a prior explains the points worse than the best, to be left out of the

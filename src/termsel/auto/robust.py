@@ -21,9 +21,11 @@ from termsel.fitting.fit import Estimator, Fit
 from termsel.fitting.least_squares import LeastSquares
 from termsel.models.base import SensorModel
 
-HUBER, TUKEY = 1.345, 4.685
-"""Standard deviations from which a row has less weight, or none: both estimators are 95 % efficient
-under normal errors."""
+HUBER = 1.345
+"""Standard deviations from which a row has less weight: 95 % efficient under normal errors."""
+
+TUKEY = 4.685
+"""Standard deviations from which a row has no weight: 95 % efficient under normal errors."""
 
 MAX_ITERATIONS = 50
 """Most iterations of each estimator; ten are usual."""

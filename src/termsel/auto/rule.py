@@ -108,7 +108,8 @@ def fit_to_beat(priors: Sequence[Fit]) -> tuple[Fit, list[str]]:
     base = priors[0]
     reasons: list[str] = []
     for fitted in priors[1:]:
-        method, base_method = method_of(fitted), method_of(base)
+        method = method_of(fitted)
+        base_method = method_of(base)
         if base_is_limit(base_method, method):
             base = fitted
             reasons = []
