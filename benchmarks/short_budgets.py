@@ -201,6 +201,11 @@ def page(runs: Runs) -> str:
     for (_method, _budget, scene), values in runs.items():
         best[scene] = min([best.get(scene, math.inf), *values.values()])
     lines = [HEAD]
+    missing = [method for method in METHODS if method not in {of for of, _, _ in runs}]
+    missing += [f"{budget:,} evaluations" for budget in BUDGETS
+                if budget not in {of for _, of, _ in runs}]
+    if missing:
+        lines += [f"Not run when this page was made: {', '.join(missing)}.", ""]
     for budget in sorted({budget for _method, budget, _scene in runs}):
         lines += [f"## {budget:,} evaluations", "", *_table(runs, best, budget), ""]
     return "\n".join(lines)
