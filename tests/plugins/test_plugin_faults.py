@@ -166,10 +166,12 @@ def test_faulty_criterion(fault: Any, message: str, task: Task) -> None:
     (lambda selected: np.full(len(selected.terms), np.nan), "score() returned 4 numbers that are"),
     (always(None), "score() returned an object of type NoneType")])
 def test_a_faulty_objective_is_called_by_its_name(score: Any, message: str, scene: FeatureSet,
-                                                  ) -> None:
+                                                  monkeypatch: pytest.MonkeyPatch) -> None:
+    get = Registry.get
     objective = termsel.Objective("spread-demo", "A figure.", score)
-    session = termsel.register(objective)
-    task = prepare("poly-terms", features=scene, options={"objectives": session.name})
+    monkeypatch.setattr(Registry, "get", lambda self, kind, name:
+                        objective if kind == "objectives" else get(self, kind, name))
+    task = prepare("poly-terms", features=scene, options={"objectives": "spread-demo"})
     with pytest.raises(PluginFault) as caught:
         task.problem.evaluate(task.problem.genome.random(np.random.default_rng(1), 4))
     told_of(caught, message, "objective 'spread-demo' of ")
