@@ -114,10 +114,10 @@ def test_what_few_use_is_imported_by_those_who_use_it():
                          "scipy.interpolate", "pymoo", "pyproj"}
 
 
-def test_a_choice_for_few_points_imports_neither_scipy_nor_numba_nor_proofs():
+def test_a_choice_for_few_points_imports_neither_scipy_nor_proofs():
     text, loaded = imported("run", "--problem", "rfm-terms", "--quiet")
     assert "to choose and fit the model" in text
-    assert not loaded & {"numba", "scipy", "numpy.ma", "termsel.selection.best_subsets.subsets",
+    assert not loaded & {"scipy", "numpy.ma", "termsel.selection.best_subsets.subsets",
                          "termsel.runs.steps"}
 
 

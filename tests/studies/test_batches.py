@@ -131,12 +131,12 @@ def test_what_is_said_of_an_image_is_in_its_result_the_table_and_the_pages(
     assert "look swapped" in rows["3.csv"]["doubt"]
     assert "while 3 other images of the batch are near 46.5 N" in rows["3.csv"]["doubt"]
     for name in ("1.csv", "3.csv"):
-        assert "Is sigma_line meant?" in rows[name]["notes"]
+        assert "Did you mean sigma_line?" in rows[name]["notes"]
     assert "sigma_line" not in rows["0.csv"]["notes"]
     found = {path: json.loads(path.read_text()) for path in out.rglob("result.json")}
     swapped = next(one for path, one in found.items() if path.parent.name.endswith("3.csv"))
     assert any("look swapped" in note and "--columns x=y,y=x" in note for note in swapped["notes"])
-    assert any("Is sigma_line meant?" in note for note in swapped["notes"])
+    assert any("Did you mean sigma_line?" in note for note in swapped["notes"])
     for page in ("summary.md", "report.html"):
         text = (out / page).read_text()
         assert "3 images are near 46.5 N" in text
