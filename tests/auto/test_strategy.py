@@ -148,11 +148,11 @@ def test_options_of_the_data_leave_the_strategy() -> None:
 
 
 @pytest.mark.parametrize(("problem", "more", "message"), [
-    ("rfm-terms", {"solver": "ga"}, "chooses the method itself, and solver is asked for"),
-    ("rfm-terms", {"options": {"order": 2}}, "the option order is asked for"),
-    ("rfm-terms", {"seconds": 3}, "a budget is asked for"),
+    ("rfm-terms", {"solver": "ga"}, "chooses the method itself, so solver cannot be given"),
+    ("rfm-terms", {"options": {"order": 2}}, "the option order cannot be given"),
+    ("rfm-terms", {"seconds": 3}, "a budget cannot be given"),
     ("hybrid-2", {}, "not for the problem hybrid-2"),
-    ("owdis-lines", {"options": {"max_features": 20}}, "the option max_features is asked for")])
+    ("owdis-lines", {"options": {"max_features": 20}}, "the option max_features cannot be given")])
 def test_auto_and_a_method_exclude_each_other(problem: str, more: dict, message: str) -> None:
     with pytest.raises(termsel.TermselError, match=message):
         termsel.run(problem, strategy="auto", **more)

@@ -42,7 +42,7 @@ def test_all_points_at_one_place_are_named_at_once(tmp_path: Path) -> None:
 def test_very_many_are_counted(tmp_path: Path) -> None:
     rows = "".join(f"p{i},control,{i},{i % 7},{500000 + i // 2},5000000,0,1,1\n"
                    for i in range(60))
-    with pytest.raises(TermselError, match="and those of 22 more places each have"):
+    with pytest.raises(TermselError, match="and those of 22 more positions each have"):
         termsel.read(file(tmp_path, rows))
 
 

@@ -227,7 +227,7 @@ def test_a_value_that_is_asked_for_is_where_the_map_shows_nothing(
         assert raster.nodata is None
         assert (raster.read()[:3, 0] == 255).all()
         assert (raster.read(4)[0] == 0).all()
-    with pytest.raises(termsel.TermselError, match="uint8 cannot hold the value 256"):
+    with pytest.raises(termsel.TermselError, match="uint8 cannot have the value 256"):
         scans.rectified(kind("rgb", tmp_path), nodata=256)
 
 

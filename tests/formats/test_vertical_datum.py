@@ -161,7 +161,7 @@ def test_a_dem_in_feet_gives_metres(tmp_path: Path, units: str, size: float, crs
 
 def test_units_that_are_unclear_are_refused(tmp_path: Path) -> None:
     cases = [("EPSG:4326", "fathom", "is in fathom"),
-             ("EPSG:2263", "", "in metres or, as x and y are, in US survey feet"),
+             ("EPSG:2263", "", "in metres or, like x and y, in US survey feet"),
              ("EPSG:2263+6360", "m", "in metres, and the heights of its CRS are in US survey")]
     for crs, units, words in cases:
         path = dem(tmp_path / "dem.tif", crs=crs, units=units)

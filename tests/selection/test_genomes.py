@@ -296,7 +296,7 @@ def test_a_solver_for_bits_alone_is_refused_and_others_named(solver: str) -> Non
     with pytest.raises(TermselError, match=r"handles genes of the type Bits(, Subset)?; those of "
                                            r"'i' are Integers") as error:
         termsel.prepare(recipe, solver=solver)
-    assert "Choose one of: ga, pso, swap, random" in str(error.value)
+    assert "Choose one of: ga, fast-ea, pso, swap, random" in str(error.value)
     assert "deap, pymoo" in str(error.value)
 
 

@@ -19,7 +19,7 @@ ROLES = ("control", "check", "independent")
 QUICK = {"population": 30, "polish": False}
 PROBLEMS = {"rfm-terms": {"strategy": "auto"}, "poly-terms": {"solver": "all-terms"},
             "owdis-points": {"generations": 2, "options": QUICK},
-            "owdis-points-terms": {"generations": 2, "options": QUICK}}
+            "owdis-points-terms": {"generations": 40, "options": QUICK}}
 
 
 def scene(moved: dict[str, float], n: int = 60, seed: int = 3) -> FeatureSet:

@@ -33,7 +33,7 @@ class StandIn(types.ModuleType):
         return getattr(self, name)
 
 
-for name in ("qgis", "qgis.core", "processing"):
+for name in ("qgis", "qgis.core", "qgis.gui", "processing"):
     sys.modules[name] = StandIn(name)
     sys.modules[name].__path__ = []
 for name in ("PyQt", "PyQt.QtCore", "PyQt.QtGui", "PyQt.QtWidgets"):

@@ -77,7 +77,7 @@ def test_what_does_not_look_alike_is_left(session: Session) -> None:
         refined_place(session, name)
     session.delete([name])
     half = session.put({"image": [300.0, 150.0]})
-    with pytest.raises(TermselError, match="both places"):
+    with pytest.raises(TermselError, match="both positions"):
         refined_place(session, half)
     session.delete([half])
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import zipfile
 import zlib
 from pathlib import Path, PurePosixPath
@@ -37,11 +38,12 @@ def raster_in(path: Path) -> Path:
     TermselError
         If there are several, or none.
     """
-    if path.is_dir():
+    # These of os.path take a name that the system refuses for one that is not there.
+    if os.path.isdir(path):
         return _only(path, _in_folder(path))
-    if path.is_file():
+    if os.path.isfile(path):
         return path if not zipfile.is_zipfile(path) else _only(path, _in_zip(path))
-    archive = next((parent for parent in path.parents if parent.is_file()), None)
+    archive = next((parent for parent in path.parents if os.path.isfile(parent)), None)
     if archive is None or not zipfile.is_zipfile(archive):
         return path
     return _name_for_gdal(path, archive)

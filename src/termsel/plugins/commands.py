@@ -34,10 +34,11 @@ COMMANDS = {
 """Built-in commands by name: where the command is, as "module:attribute", and its summary."""
 
 GROUPS = {
-    "Fit": ("run", "block", "auto-georeference", "stability", "app"),
+    "Fit": ("run", "block", "auto-georeference", "map-series", "stability", "app"),
     "Check": ("check", "accuracy", "sigma", "plan"),
     "Export": ("export", "rectify", "project", "report", "plot"),
-    "Images": ("match-points", "match-lines", "match-ties", "block-points", "block-select"),
+    "Images": ("match-points", "match-lines", "match-ties", "block-points", "block-select",
+               "flight-camera"),
     "Research": ("compare", "bench"),
     "Extend": ("list", "describe", "plugins", "new-plugin", "example", "match-example",
                "block-example", "completion"),
@@ -59,6 +60,9 @@ PACKAGES = {
         "match-lines": "Find control lines by matching an image with vectors.",
         "match-ties": "Find tie points that two raw images share.",
         "match-example": "Write a simulated image, map and vectors to match."},
+    "termsel_photos": {
+        "map-series": "Choose one projection for the sheets of a series of old maps.",
+        "flight-camera": "Find the camera that the photos of one flight share."},
     "termsel_stability": {"stability": "Show how often each term is selected as points change."},
     "termsel_standards": {
         "accuracy": "State the accuracy by ASPRS, NSSDA and ISO 19157.",

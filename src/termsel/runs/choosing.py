@@ -342,13 +342,17 @@ def _on_rpc(request: Request, data: FitData, auto: Auto, fitted: Fit) -> tuple[s
     return _unused_rpc(data, auto, fitted), ""
 
 
+RPC_CORRECTIONS = "corrections of the RPC"
+"""Family of the methods that correct a vendor's RPC."""
+
+
 def _unused_rpc(data: FitData, auto: Auto, fitted: Fit | None = None) -> str:
     """Return why an RPC that is given is not used; "" where a note says which method failed."""
     if data.features.rpc is None:
         return ""
-    # Methods that correct an RPC are those that one point is enough for.
-    able = [method for method in auto.methods
-            if method.from_one and len(data) <= method.max_features]
+    # Other methods that one point is enough for know a camera or an orbit, and no RPC.
+    able = [method for method in auto.methods if method.from_one
+            and method.family == RPC_CORRECTIONS and len(data) <= method.max_features]
     reasons = list(filter(None, (auto.ask(method, "declines", data) for method in able)))
     if fitted is not None and auto.fewest(data) == 1:
         reason = (f"{method_of(fitted).title} predicts the {data.features.word} better, beyond "

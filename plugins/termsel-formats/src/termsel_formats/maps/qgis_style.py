@@ -18,6 +18,10 @@ OPTIONS = {"FID": "id"}
 """Of the layer in GDAL: the name of its key."""
 
 _ROLE = """CASE WHEN "role" IN ('control', 'off') AND NOT "used" THEN 'left out' ELSE "role" END"""
+
+_COLOURS = {role: colour for role, colour in ROLE_COLOURS.items() if role != "rejected"}
+"""Colours by role: in the layer, outliers are among those left out."""
+
 _SHAPES = {"circle": "circle", "square": "square", "triangle-up": "triangle",
            "cross": "cross_fill"}
 """Names of QGIS for those of the charts."""
@@ -44,13 +48,13 @@ def _markers() -> str:
     return _by_role("marker", 0, {
         role: _layer("SimpleMarker", name=_SHAPES[ROLE_SHAPES[role]], color=_rgb(colour),
                      outline_color=_rgb(GROUND), outline_width="0.2", outline_width_unit="MM",
-                     size="2.2", size_unit="MM") for role, colour in ROLE_COLOURS.items()})
+                     size="2.2", size_unit="MM") for role, colour in _COLOURS.items()})
 
 
 def _arrows() -> str:
     """Return QML with an arrow for each role, straight, with its head at the end of the line."""
     arrows = {}
-    for i, (role, colour) in enumerate(ROLE_COLOURS.items()):
+    for i, (role, colour) in enumerate(_COLOURS.items()):
         fill = _layer("SimpleFill", color=_rgb(colour), style="solid", outline_style="no")
         arrows[role] = _layer(
             "ArrowLine", _symbol("fill", f"@{i}@0", fill), arrow_type="0", head_type="0",

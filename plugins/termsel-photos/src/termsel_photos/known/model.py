@@ -81,16 +81,16 @@ class KnownFrame(SensorModel):
 
     name = "known-frame"
     declared_options = (
-        Option("focal", 1.0, "Focal length [px].", float, 1e-6),
-        Option("focal_spread", 0.01, "Relative standard deviation of it.", float, 1e-9),
-        Option("line", None, "Line of the principal point [px].", float),
-        Option("sample", None, "Sample of the principal point [px].", float),
-        Option("reach", None, "Scale of the prior of the principal point [px].", float, 0.0),
+        Option("focal", 1.0, "Focal length [px].", float, 1e-6, 1e9),
+        Option("focal_spread", 0.01, "Relative standard deviation of it.", float, 1e-9, 10.0),
+        Option("line", None, "Line of the principal point [px].", float, -1e9, 1e9),
+        Option("sample", None, "Sample of the principal point [px].", float, -1e9, 1e9),
+        Option("reach", None, "Scale of the prior of the principal point [px].", float, 0.0, 1e9),
         Option("distortion", "0,0,0,0,0", "k1, k2, p1, p2 and k3 of the lens."),
         Option("position", "", "Rough position of the camera in the CRS of the points."),
-        Option("position_spread", 50.0, "Its standard deviation [m].", float, 1e-9),
-        Option("height", None, "Rough flying height above the ground [m].", float, 0.0),
-        Option("height_spread", 0.1, "Relative standard deviation of it.", float, 1e-9),
+        Option("position_spread", 50.0, "Its standard deviation [m].", float, 1e-9, 1e9),
+        Option("height", None, "Rough flying height above the ground [m].", float, 0.0, 1e9),
+        Option("height_spread", 0.1, "Relative standard deviation of it.", float, 1e-9, 10.0),
         Option("mirrored", False, "Whether the scan is mirrored, as of a negative.", bool))
 
     @classmethod
