@@ -16,7 +16,7 @@ from termsel.core.files.names import refuse_grids
 from termsel.toolkit import normalise, open_layer
 from tests.attacks.files import image, vrt
 
-pytest.importorskip("pyproj")
+pyproj = pytest.importorskip("pyproj")
 pytest.importorskip("rasterio")
 
 DATUM = 'DATUM["b",SPHEROID["c",6377397.155,299.15]],PRIMEM["Greenwich",0]'
@@ -39,11 +39,14 @@ STATED = {
     "spaced": BOUND.replace("PARAMETERFILE[", "parameterfile  [ \n"),
     "init": f'GEOGCS["a",{DATUM},{DEGREE},EXTENSION["PROJ4","+init=@F:x"]]',
     "words": "+proj=longlat +ellps=bessel +nadgrids=@F", "words of init": "+init=@F:x"}
+BOUND_JSON = pyproj.CRS.from_wkt(BOUND).to_json()
+STATED |= {"json": BOUND_JSON, "escaped": BOUND_JSON.replace('"value": "', r'"v\u0061lue": "')}
 HARMLESS = (
     "EPSG:3857", "+proj=longlat +ellps=bessel +nadgrids=BETA2007.gsb +type=crs",
     f'GEOGCS["a / b",{DATUM},{DEGREE},EXTENSION["PROJ4","+proj=longlat +nadgrids=@null +wktext"],'
     'AUTHORITY["http://x/y","1"]]',
-    'REMARK["See https://example.org/grids = many"]')
+    'REMARK["See https://example.org/grids = many"]',
+    pyproj.CRS.from_epsg(32633).to_json())  # "WGS 84 / UTM zone 33N"
 
 
 @pytest.fixture
@@ -99,6 +102,21 @@ def test_tables_and_files_of_gdal(kind: str, pipe: Path, folder: Path, server) -
     (folder / "g.tif.aux.xml").write_text(f"<PAMDataset><SRS>{stated}</SRS></PAMDataset>")
     with pytest.raises(TermselError, match="grid"):
         open_raster(folder / "g.tif").__enter__()
+
+
+def test_other_texts_of_virtual_rasters_may_have_paths(folder: Path) -> None:
+    image(folder / "d.tif")
+    (folder / "d.vrt").write_text(vrt("d.tif", 1, more="<Metadata><MDI key='made by'>file=a/b, "
+                                      "model = x/y</MDI></Metadata>"))
+    with open_raster(folder / "d.vrt") as raster:
+        assert raster.tags()["made by"].startswith("file=a/b")
+
+
+def test_a_server_behind_a_query_is_not_called_a_grid(folder: Path, server) -> None:
+    (folder / "d.vrt").write_text(vrt(f"/vsicached?file=/vsicurl/{server.url}/d.tif", 1))
+    with pytest.raises(TermselError) as caught, open_raster(folder / "d.vrt"):
+        pass
+    assert "grid" not in str(caught.value)
 
 
 def test_a_layer(pipe: Path, folder: Path) -> None:

@@ -121,6 +121,15 @@ _GRIDS = re.compile(
 """A grid of datum shifts in WKT or in a string of PROJ, by the name of a file or an address."""
 
 
+_CRS = re.compile(r"""(?:proj|init)\s*=|\w\s*[\[(]\s*["\u201c\u201d]""", re.IGNORECASE)
+"""What every CRS and operation has that could name a grid: a string of PROJ, or WKT."""
+
+
+def may_be_crs(text: str) -> bool:
+    """Return whether a text of an unknown kind could be a CRS that names a grid."""
+    return _CRS.search(text) is not None
+
+
 def refuse_grids(crs: str, file: object = None) -> None:
     """Refuse a CRS that names a file or an address of its own, which PROJ would open.
 

@@ -23,7 +23,7 @@ from xml.etree import ElementTree
 
 from termsel.core.errors import TermselError, cut
 from termsel.core.files.drivers import DRIVER_HINT, allowed_drivers, remote_allowed
-from termsel.core.files.names import refuse_grids, require_regular
+from termsel.core.files.names import may_be_crs, refuse_grids, require_regular
 from termsel.core.files.tiff import metadata_of_tiff
 
 REMOTE_HINT = "If you trust it, add --allow-remote (in Python: with termsel.allow_remote())."
@@ -364,8 +364,9 @@ class _Chain:
             raise refused_format(self.start, text.encode()[:_HEAD])
         self._refuse_code(root)
         for element in root.iter():
-            for text_in_it in (element.text or "", *element.attrib.values()):
-                refuse_grids(text_in_it, self.start)
+            for stated in (element.text or "", *element.attrib.values()):
+                if may_be_crs(stated):  # any element and option may have a CRS or an operation
+                    refuse_grids(stated, self.start)
         sources = [name.strip() for name in _named(root, folder)]
         self.elements += len(sources)
         reads = sum(self.require_each(name, folder, depth + 1) for name in sources)
