@@ -170,7 +170,9 @@ def test_few_independent_points_come_after_the_prediction(tmp_path: Path) -> Non
     assert expected is not None
     assert accuracy is not None
     shown = " ".join(result.summary().split())
-    first = f"{rounded(expected.rmse)} px RMSE predicted by cross-validation"
+    assert expected.pixel is not None
+    metres = rounded(expected.rmse * expected.pixel)
+    first = f"{rounded(expected.rmse)} px / {metres} m RMSE predicted by cross-validation"
     then = f"at {accuracy.image.n} independent check points"
     assert f"Accuracy {first}" in shown
     assert shown.index(first) < shown.index(then, shown.index(first))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +55,12 @@ def compared(name: str, total: float, predicted: float | None = None) -> dict[st
     return {**baseline(name, 20, roles(1.0, 1.0, total)), "predicted": predicted}
 
 
+def front(objective: str, sizes: Iterable[int]) -> list[dict[str, Any]]:
+    """A Pareto front of a number to be small, and of the criterion."""
+    return [{"objectives": {objective: size, "check-rmse": 9.0 / size},
+             "selection": record()["selection"], "rmse": record()["rmse"]} for size in sizes]
+
+
 SEARCHED = {"accuracy": accuracy(3.0, 26), "reference": "quadratic",
             "baselines": [baseline("all-terms", 20, roles(0.5, 5.0, 6.0), fitted_to=("control",)),
                           compared("quadratic", 2.4)]}
@@ -88,6 +95,20 @@ CASES: dict[str, dict[str, Any]] = {
     "swapped-axes": {"data": data(read={**READ, "doubt": "x and y look swapped: they do"})},
     "no-model-fits": {**CHOSEN, "predicted": {"rmse": 153.0, "low": 43.0, "high": 335.0},
                       "blunder_test": outlier_test(20.0, 12)},
+    "predicted-in-metres": {
+        **CHOSEN, "predicted": {**PREDICTED, "pixel": 0.5},
+        "data": counts(independent=0, check=0, control=40), "blunder_test": outlier_test(9.0, 40)},
+    "worse-than-conventional": {
+        **CHOSEN, "baselines": [compared("affine", 3.2, 0.4)], "predicted": PREDICTED,
+        "data": counts(independent=0, check=0, control=40), "blunder_test": outlier_test(9.0, 40)},
+    "exact": {**SEARCHED, "solver": "exact", "certificate": {
+        "optimal": True, "subsets": 256, "of": 256, "space": "all selections"},
+        "front": front("n_terms", range(2, 14)), "blunder_test": outlier_test(9.0)},
+    "exact-unproven": {**SEARCHED, "solver": "exact", "certificate": {
+        "optimal": False, "subsets": 1_250_000, "of": 2**40, "space": "all selections",
+        "gap": 0.031, "bound": 2.91}, "blunder_test": outlier_test(9.0)},
+    "several-objectives": {**SEARCHED, "solver": "nsga2", "front": front("n_features", (8, 12, 30)),
+                           "blunder_test": outlier_test(9.0)},
     "infeasible": {"feasible": False},
     "long-names": {"outliers": MANY, "data": data(
         source="/very/long/" + "name" * 70, crs="EPSG:25832+7837",

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -27,7 +28,7 @@ from termsel_block.geometry.frame import FloatArray, IntArray
 from termsel_block.joint import BlockResult, adjust
 from termsel_block.shown import page
 from termsel_block.shown.record import joined, record_of, times_seen
-from termsel_block.shown.summary import text_of
+from termsel_block.shown.summary import LINES, first_screen, text_of
 from termsel_block.simulated import Simulated, simulate_block
 
 Example = tuple[Path, dict[str, Any]]
@@ -236,6 +237,19 @@ def test_a_wrong_control_point_is_named(vendors: Simulated) -> None:
     record = record_of(adjust(replace(vendors.block, images=images)))
     assert [one.id for one in record.wrong_control] == [points.ids[1]]
     assert points.ids[1] in text_of(record)
+
+
+@pytest.mark.parametrize("images", [3, 40])
+def test_the_first_screen_of_a_block_has_twelve_lines(images: int, vendors: Simulated) -> None:
+    record = record_of(adjust(vendors.block))
+    least_certain = max(record.images, key=lambda image: image.uncertainty)
+    many = (record.images * images)[:images]
+    lines = first_screen(msgspec.structs.replace(record, images=many), "adjusted").splitlines()
+    assert len(lines) <= LINES == 12
+    assert max(map(len, lines)) <= 88
+    assert (f"{images - 2} more certain images: summary.txt has all." in lines) == (images > 3)
+    assert lines[-1].startswith(f"Saved     adjusted/    Next: termsel plan adjusted/"
+                                f"{least_certain.name} ")
 
 
 def test_what_nothing_holds_is_named() -> None:

@@ -15,7 +15,7 @@ from typing import TypeVar
 import numpy as np
 
 from termsel.adjustment.equations import weights_of
-from termsel.core.errors import counted
+from termsel.core.errors import TermselError, counted
 from termsel.data.coordinates.metres import in_metres
 from termsel.data.features import FeatureSet, FloatArray, IntArray, Points
 from termsel.data.fit_data import FitData, off_plane, with_usual_heights
@@ -47,6 +47,9 @@ ASPRS_POINTS = 30
 
 MAX_LEVERAGE = 0.999
 """Leverage that a point has at most."""
+
+PIXEL_POINTS = 100
+"""Most points at which the size of a pixel on the ground is computed."""
 
 MIN_AXIS_RATIO = 0.6
 """Least ratio of the RMSE of x and y for which NSSDA has a figure."""
@@ -178,7 +181,36 @@ def predicted_of_all(fitted: Fit, expected: Predicted, ground: FloatArray) -> Pr
     alone, so that their measurements stay unseen.
     """
     share = share_left(fitted, ground)
-    return Predicted(expected.rmse * share, expected.low * share, expected.high * share)
+    return Predicted(expected.rmse * share, expected.low * share, expected.high * share,
+                     pixel=expected.pixel)
+
+
+def pixel_on_ground(fitted: Fit) -> float | None:
+    """Return how far a pixel is on the ground [m]: root of the mean square at the control.
+
+    None where the CRS does not tell metres, or the model has no inverse.
+    """
+    points = fitted.control.points
+    if not len(points):
+        return None
+    evenly = np.linspace(0, len(points) - 1, min(len(points), PIXEL_POINTS)).astype(int)
+    points = points.take(evenly)
+    heights = np.nan_to_num(points.ground[:, 2])
+    image = fitted.project(np.column_stack([points.ground[:, :2], heights]))
+    squares = []
+    try:
+        here = fitted.locate(image, heights)
+        for step in np.eye(2):
+            offsets = (fitted.locate(image + step, heights) - here)[:, :2]
+            metres = in_metres(fitted.control.crs, points.ground, offsets)
+            if metres is None:
+                return None
+            squares.append((metres**2).sum(axis=1))
+    except TermselError:  # a model that sees all places at one point, say
+        return None
+    finite = np.concatenate(squares)
+    finite = finite[np.isfinite(finite)]
+    return float(np.sqrt(finite.mean())) if len(finite) else None
 
 
 def _square_of_unlike_heights(fitted: Fit, control: FeatureSet, ground: FloatArray) -> float:

@@ -6,11 +6,9 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from termsel.core.errors import TermselError, counted
+from termsel.core.errors import counted
 from termsel.core.version import __version__
-from termsel.data.coordinates.metres import in_metres
+from termsel.fitting.accuracy import pixel_on_ground
 from termsel.report.accuracy import are_computed, expected_of, lattice_of, predicted_first
 
 if TYPE_CHECKING:
@@ -80,31 +78,8 @@ def prediction_of(result: Result) -> Prediction | None:
                   f"{counted(points, 'control point')}, and predicted those")
     else:
         method = f"by cross-validation of {counted(points, 'control point')}"
-    return Prediction(expected.rmse, expected.low, expected.high, expected.level, _pixel(result),
-                      method, points)
-
-
-def _pixel(result: Result) -> float | None:
-    """Return how far a pixel is on the ground [m]: root of the mean square at the control."""
-    points = result.fit.control.points
-    if not len(points):
-        return None
-    heights = np.nan_to_num(points.ground[:, 2])
-    image = result.fit.project(np.column_stack([points.ground[:, :2], heights]))
-    squares = []
-    try:
-        here = result.fit.locate(image, heights)
-        for step in np.eye(2):
-            metres = in_metres(result.features.crs, points.ground,
-                               (result.fit.locate(image + step, heights) - here)[:, :2])
-            if metres is None:
-                return None
-            squares.append((metres**2).sum(axis=1))
-    except TermselError:  # a model that sees all places at one point, say
-        return None
-    known = np.concatenate(squares)
-    known = known[np.isfinite(known)]
-    return float(np.sqrt(known.mean())) if len(known) else None
+    return Prediction(expected.rmse, expected.low, expected.high, expected.level,
+                      pixel_on_ground(result.fit), method, points)
 
 
 def accuracy_tags(result: Result) -> dict[str, str]:

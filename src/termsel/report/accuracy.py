@@ -103,7 +103,8 @@ def _unverified(predicted: Predicted | None) -> list[str]:
 
 
 def _prediction(predicted: Predicted) -> str:
-    return (f"{rounded(predicted.rmse)} px   RMSE {PREDICTED_BY} "
+    ground = f" / {rounded(predicted.rmse * predicted.pixel)} m" if predicted.pixel else ""
+    return (f"{rounded(predicted.rmse)} px{ground}   RMSE {PREDICTED_BY} "
             f"{interval(predicted.low, predicted.high, 100 * predicted.level)}")
 
 

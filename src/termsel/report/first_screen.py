@@ -319,10 +319,13 @@ def _against(record: Record, rival: BaselineRow) -> Iterator[str]:
     if own_rmse is None or rival_rmse is None:
         return
     name = "automatic choice without a search" if record.strategy is None else label_of(rival.name)
-    # In leave-one-out the RMSE of this model is not the figure shown above.
-    in_leave_one_out = record.strategy is not None and not _by_points(record)
-    this_model = f", this model {rounded(own_rmse)} px in leave-one-out" * in_leave_one_out
-    yield f"{name} {rounded(rival_rmse)} px{this_model}: {_verdict(record, own_rmse, rival_rmse)}"
+    verdict = _verdict(record, own_rmse, rival_rmse)
+    if record.strategy is not None and not _by_points(record):
+        # In leave-one-out the RMSE of this model is not the figure shown above.
+        yield (f"{name} {rounded(rival_rmse)} px in leave-one-out, this model "
+               f"{rounded(own_rmse)} px: {verdict}")
+    else:
+        yield f"{name} {rounded(rival_rmse)} px: {verdict}"
     if _shift_of(record):
         yield from _as_delivered(record)
 
@@ -361,7 +364,7 @@ def _verdict(record: Record, own_rmse: float, rival_rmse: float) -> str:
         if alike:
             return "no practical difference"
         return f"{_times(rival_rmse / own_rmse)} as large" if rival_rmse > own_rmse else \
-            f"smaller by {100 * (1 - rival_rmse / own_rmse):.0f} %"
+            f"{label_of(record.reference)} is better by {100 * (1 - rival_rmse / own_rmse):.0f} %"
     if alike:
         return "the search gains nothing"
     if rival_rmse > own_rmse:

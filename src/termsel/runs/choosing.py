@@ -7,6 +7,7 @@ from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from msgspec.structs import replace as changed
 
 from termsel.auto.auto import MAX_EXACT_POINTS, Auto
 from termsel.auto.compare import compare
@@ -22,7 +23,12 @@ from termsel.data.record.figures import Predicted
 from termsel.data.record.search import CandidateRow, Strategy
 from termsel.data.roles import ASSIGNABLE, Observations, leave_out, with_lines
 from termsel.data.twins import merged
-from termsel.fitting.accuracy import predicted_between, predicted_by, predicted_of_all
+from termsel.fitting.accuracy import (
+    pixel_on_ground,
+    predicted_between,
+    predicted_by,
+    predicted_of_all,
+)
 from termsel.fitting.extrapolation import warnings_of
 from termsel.fitting.figures import Baseline, Rmses, finite_or_none, in_role
 from termsel.fitting.fit import Fit, Undetermined
@@ -156,6 +162,8 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
     if errors is not None and clean.lattice is None:
         predicted = predicted_by(choice.chosen, errors, len(observations.independent),
                                  observations.independent.ground)
+    if predicted is not None:
+        predicted = changed(predicted, pixel=pixel_on_ground(choice.chosen))
     # 4. The fit in the roles that the points play, and the verdict on independent points. No
     # choice is made from here on.
     played = with_lines(clean, observations.control.lines)

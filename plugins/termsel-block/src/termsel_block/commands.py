@@ -49,7 +49,7 @@ def block(file: Path, folder: Path | None, overwrite: bool, as_json: bool, verbo
     from termsel_block.files.block_file import read_block
     from termsel_block.files.folders import SUMMARY, claim, write_block
     from termsel_block.joint import adjust
-    from termsel_block.shown.summary import text_of
+    from termsel_block.shown.summary import first_screen, text_of
 
     show_messages()
     read = read_block(file)
@@ -65,9 +65,11 @@ def block(file: Path, folder: Path | None, overwrite: bool, as_json: bool, verbo
     if as_json:
         click.echo(msgspec.json.encode(record))
     else:
-        click.echo(text_of(record, verbose=verbose), nl=False)
-    click.echo(f"Written: {folder / SUMMARY} and the folders of {len(record.images)} images",
-               err=True)
+        click.echo(text_of(record) if verbose else first_screen(record, folder.as_posix()),
+                   nl=False)
+    if as_json or verbose:
+        click.echo(f"Written: {folder / SUMMARY} and the folders of {len(record.images)} images",
+                   err=True)
 
 
 @click.command("block-example")

@@ -147,6 +147,8 @@ class Predicted(RecordPart, frozen=True, omit_defaults=False):
     """Probability that the interval holds the RMSE."""
     points: Positive | None = None
     """Number of independent points whose RMSE the interval is for; null for the true accuracy."""
+    pixel: Size | None = None
+    """How far a pixel is on the ground [m]; null where the CRS or the model does not tell."""
 
 
 class Errors(RecordPart, frozen=True, kw_only=True):

@@ -14,7 +14,7 @@ import numpy as np
 
 from termsel import FeatureSet, Points, Result, TermselError, require_replaceable, run
 from termsel.toolkit import csv_table, one_blas_thread, write_result, write_text
-from termsel.toolkit.models import Predicted
+from termsel.toolkit.models import Predicted, pixel_on_ground
 from termsel_block.accuracy import shared_sigma
 from termsel_block.block import BlockImage
 from termsel_block.files.placing import together
@@ -182,7 +182,8 @@ def image_result(result: BlockResult, i: int, record: BlockRecord) -> Result:
     # What the block's covariance says more than the image's own fit does.
     shared = shared_sigma(result, i, features, fitted.sigma(features.points.ground))
     return replace(fitted, notes=(note, *fitted.notes), shared_sigma=shared,
-                   predicted=Predicted(image_record.predicted, image_record.low, image_record.high))
+                   predicted=Predicted(image_record.predicted, image_record.low, image_record.high,
+                                       pixel=pixel_on_ground(fitted.fit)))
 
 
 def _features(result: BlockResult, i: int, image: BlockImage) -> FeatureSet:

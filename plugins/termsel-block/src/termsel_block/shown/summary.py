@@ -7,43 +7,74 @@ from collections.abc import Iterable, Iterator
 
 from termsel.toolkit.charts import Fact
 from termsel_block.estimation.adjustment import WRONG
-from termsel_block.shown.record import BlockRecord, WrongControl, WrongTie
+from termsel_block.shown.record import BlockRecord, ImageRecord, WrongControl, WrongTie
 
-_SHOWN = 10
+LINES = 12
+"""Lines of the first screen, that of the folder included."""
+_FEWEST_ROWS = 2
+"""Images that the first screen lists whatever else it says."""
+_PARTS = 10
+"""Parts of a block that a caution lists."""
 _NAMED = 3
-"""Rejected observations that the first lines name."""
+"""Rejected observations that are named."""
 _LABEL, _WIDTH = 10, 88
 """Characters of the column of labels, and of a line."""
 
 
-def text_of(record: BlockRecord, *, verbose: bool = True) -> str:
-    """Return the summary; without `verbose` long lists end after ten rows."""
+def text_of(record: BlockRecord) -> str:
+    """Return the whole summary, as summary.txt has it."""
+    return "\n".join([read_in(record), "", *_table(record, len(record.images)), "",
+                      *_lines(facts(record)), *_wrong(record)]) + "\n"
+
+
+def first_screen(record: BlockRecord, folder: str) -> str:
+    """Return data, images, accuracy and outliers in twelve lines, with where they were written.
+
+    Of many images the least certain are listed. Cautions may need more lines than there are.
+    """
+    control = sum(image.control for image in record.images)
+    shown = [fact for fact in facts(record) if fact.label not in ("Precision", "Next")
+             and not (control and fact.label == "Datum")]
+    next_image = _least_certain(record)[0].name
+    lines = [*_lines(shown), f"Saved     {folder}/    Next: termsel plan {folder}/{next_image}   "
+             "(the least certain image)"]
+    rows = LINES - len(lines) - 4  # without what was read, the header and two empty lines
+    if rows < len(record.images):
+        rows = max(rows - 1, _FEWEST_ROWS)  # one line counts those that are not listed
+    return "\n".join([read_in(record), "", *_table(record, rows), "", *lines]) + "\n"
+
+
+def _lines(shown: Iterable[Fact]) -> list[str]:
     lines = []
-    for fact in facts(record):
+    for fact in shown:
         lines += textwrap.wrap(fact.text, _WIDTH, initial_indent=fact.label.ljust(_LABEL),
                                subsequent_indent=" " * _LABEL, break_on_hyphens=False)
-    return "\n".join([read_in(record), "", *_table(record, verbose), "", *lines,
-                      *_wrong(record, verbose)]) + "\n"
+    return lines
 
 
 def read_in(record: BlockRecord) -> str:
     """Return what was read."""
     points = sum(image.control for image in record.images)
-    return (f"{len(record.images)} images, {record.ties} ties ({record.measurements} "
-            f"observations), {points} GCP observations, {record.crs}")
+    with_control = sum(image.control > 0 for image in record.images)
+    where = f" in {with_control} of them" if points else ""
+    return (f"{len(record.images)} images, {points} GCP observations{where}, {record.ties} ties "
+            f"({record.measurements} observations), {record.crs}")
 
 
 def facts(record: BlockRecord) -> list[Fact]:
     """Return the accuracy, the outliers, the datum, cautions and the next step."""
-    found = [*_labelled("Accuracy", _accuracy(record)), Fact(_blunders(record), "Outliers"),
-             Fact(record.datum, "Datum"),
-             Fact(f"ties {record.sigma_ties:.2f} px, control points {record.sigma_control:.2f} px "
-                  "(sigma of image measurements)", "Precision"),
-             *_labelled("Caution", _cautions(record))]
-    worst = max(record.images, key=lambda image: image.uncertainty)
-    found.append(Fact(f"more control points or ties in {worst.name}, the least certain image",
-                      "Next"))
-    return found
+    return [*_labelled("Accuracy", _accuracy(record)), Fact(_blunders(record), "Outliers"),
+            Fact(record.datum, "Datum"),
+            Fact(f"ties {record.sigma_ties:.2f} px, control points {record.sigma_control:.2f} px "
+                 "(sigma of image measurements)", "Precision"),
+            *_labelled("Caution", _cautions(record)),
+            Fact(f"more control points or ties in {_least_certain(record)[0].name}, the least "
+                 "certain image", "Next")]
+
+
+def _least_certain(record: BlockRecord) -> list[ImageRecord]:
+    """Return the images, the least certain first."""
+    return sorted(record.images, key=lambda image: -image.uncertainty)
 
 
 def _labelled(label: str, lines: Iterable[str]) -> Iterator[Fact]:
@@ -65,8 +96,8 @@ def _accuracy(record: BlockRecord) -> Iterator[str]:
                "points")
     if record.independent is not None:
         space = record.independent
-        yield (f"{space.east:.2f} m east, {space.north:.2f} m north, {space.up:.2f} m up: RMSE of "
-               f"{space.n} independent check points by intersection")
+        yield (f"{space.east:.2f} m east, {space.north:.2f} m north, {space.up:.2f} m up: "
+               f"{space.n} points by intersection")
 
 
 def _cautions(record: BlockRecord) -> Iterator[str]:
@@ -76,7 +107,7 @@ def _cautions(record: BlockRecord) -> Iterator[str]:
     yield from record.notes
     if len(record.parts) > 1:
         joined_images = []
-        for names in record.parts[:_SHOWN]:
+        for names in record.parts[:_PARTS]:
             joined_images.append(", ".join(names[:4]) + (", ..." if len(names) > 4 else ""))
         yield (f"No tie joins {len(record.parts)} parts of this block, so each is adjusted "
                f"separately: {' | '.join(joined_images)}.")
@@ -87,7 +118,8 @@ def _blunders(record: BlockRecord) -> str:
     ties = len(record.wrong_ties)
     control = len(record.wrong_control)
     if not ties and not control:
-        return "none detected"
+        return (f"none detected among {record.measurements} tie and "
+                f"{sum(image.control for image in record.images)} GCP observations")
     rejected: list[WrongControl | WrongTie] = [*record.wrong_control, *record.wrong_ties]
     worst = rejected[:_NAMED]
     named = ", ".join(f"{wrong.id} in {wrong.image} {wrong.error:.1f} px" for wrong in worst)
@@ -95,13 +127,11 @@ def _blunders(record: BlockRecord) -> str:
     return f"{ties} tie and {control} GCP observations rejected: {named}{further}"
 
 
-def _table(record: BlockRecord, verbose: bool) -> list[str]:
-    """Return a row for each image."""
+def _table(record: BlockRecord, most: int) -> list[str]:
+    """Return a row for each image; if there are more than `most`, for the least certain."""
     rows = [("image", "model", "GCPs", "ties", "ties px", "predicted px", "90 %",
              "ICPs px")]
-    # The least certain first where not all are listed.
-    listed = record.images if verbose else sorted(
-        record.images, key=lambda image: -image.uncertainty)[:_SHOWN]
+    listed = _least_certain(record)[:most] if most < len(record.images) else record.images
     rows += [(image.name, image.model, str(image.control), str(image.ties),
               f"{image.rmse_ties:.2f}", f"{image.predicted:.2f}",
               f"{image.low:.2f}-{image.high:.2f}", "" if image.independent is None else
@@ -121,9 +151,9 @@ def _table(record: BlockRecord, verbose: bool) -> list[str]:
     return lines
 
 
-def _wrong(record: BlockRecord, verbose: bool) -> list[str]:
-    """Return all tie observations that were rejected; none in a short summary."""
-    if not verbose or not record.wrong_ties:
+def _wrong(record: BlockRecord) -> list[str]:
+    """Return all tie observations that were rejected."""
+    if not record.wrong_ties:
         return []
     lines = ["", "Tie observations rejected:"]
     for tie in record.wrong_ties:
