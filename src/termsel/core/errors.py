@@ -23,7 +23,7 @@ class TermselError(Exception):
 
     Parameters
     ----------
-    what : str
+    message : str
         What is wrong, as one sentence without a full stop.
     hint : str, optional
         What to do about it.
@@ -47,7 +47,7 @@ class TermselError(Exception):
 
     def __init__(
         self,
-        what: str,
+        message: str,
         *,
         hint: str | None = None,
         file: object = None,
@@ -56,8 +56,8 @@ class TermselError(Exception):
         ids: Iterable[str] = (),
         name: str = "",
     ) -> None:
-        super().__init__(what)
-        self.what = what
+        super().__init__(message)
+        self.what = message
         self.hint = hint
         self.file = file
         self.line = line
@@ -69,35 +69,38 @@ class TermselError(Exception):
 
     def __str__(self) -> str:
         """Return the message as it can be shown: printable, and long cells without their middle."""
-        where = [
-            printable(str(self.file), kept="") if self.file is not None else "",
-            f"line {self.line}" if self.line is not None else "",
-            f"column {cut(self.column, _LONGEST_COLUMN)!r}" if isinstance(self.column, str)
-            else f"column {self.column}" if self.column is not None else "",
-        ]
-        place = ", ".join(part for part in where if part)
-        what = cut(self.what, _LONGEST)
-        text = f"{place}: {what}" if place else what
+        position = []
+        if self.file is not None:
+            position.append(printable(str(self.file), keep=""))
+        if self.line is not None:
+            position.append(f"line {self.line}")
+        if isinstance(self.column, str):
+            position.append(f"column {cut(self.column, _LONGEST_COLUMN)!r}")
+        elif self.column is not None:
+            position.append(f"column {self.column}")
+        message = cut(self.what, _LONGEST)
+        text = ": ".join([", ".join(position), message]) if position else message
         end = "" if text.endswith(".") else "."  # of a library's message, or of a list cut short
         return printable(f"{text}{end} {cut(self.hint, _LONGEST_HINT)}" if self.hint else text)
 
 
-def printable(text: str, kept: str = "\n\t") -> str:
+def printable(text: str, keep: str = "\n\t") -> str:
     """Return text as a terminal can show it, whatever a file or a name brought.
 
-    What else would control the terminal is written as Python writes it, ``\\x1b``; `kept` stays.
+    What else would control the terminal is written as Python writes it, ``\\x1b``; `keep` stays.
     """
     if text.isprintable():
         return text
     # Also marks of direction, and halves of characters.
-    return "".join(one if one in kept or is_printable(one)
-                   else one.encode("unicode_escape").decode("ascii") for one in text)
+    return "".join(char if char in keep or is_printable(char)
+                   else char.encode("unicode_escape").decode("ascii") for char in text)
 
 
 def is_printable(text: str) -> bool:
     """Return True for text without line breaks and what `printable` replaces."""
     return text.isprintable() or all(
-        one.isprintable() or one in _KEPT or unicodedata.category(one) in _SHOWN for one in text)
+        char.isprintable() or char in _KEPT or unicodedata.category(char) in _SHOWN
+        for char in text)
 
 
 def cut(text: str, longest: int) -> str:
@@ -112,13 +115,14 @@ MOST_NAMED = 40
 """Names a message lists before it stops."""
 
 
-def unknown_name(kind: str, name: str, known: Iterable[str], hint: str = "") -> TermselError:
+def unknown_name(kind: str, name: str, names_known: Iterable[str], hint: str = "") -> TermselError:
     """Return the error for a name of some kind that is not among the known, with the nearest."""
-    names = sorted(set(known))
+    names = sorted(set(names_known))
+    # Above 0.6 of matching characters the nearest name is a misspelling; below, any guess misleads.
     near = get_close_matches(name, names, n=1, cutoff=0.6)
     guess = f"Did you mean {near[0]!r}? " if near else ""
-    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
-    listed = (f"Known: {', '.join(names[:MOST_NAMED])}{more}." if names
+    remainder = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+    listed = (f"Known: {', '.join(names[:MOST_NAMED])}{remainder}." if names
               else f"No {kind} is known here.")
     return TermselError(f"unknown {kind} {name!r}", hint=f"{guess}{listed} {hint}".strip(),
                         name=name)
@@ -138,7 +142,7 @@ def percent(share: float) -> str:
 
 def counted(number: int, noun: str) -> str:
     """Return a number with its noun, which takes an s unless the number is 1."""
-    return f"{number} {noun}{'s' * (number != 1)}"
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def amount(number: int, noun: str = "") -> str:
@@ -148,13 +152,14 @@ def amount(number: int, noun: str = "") -> str:
     return f"{short} {noun}{ending}" if noun else short
 
 
-def first_of(names: Sequence[str], most: int = 10) -> str:
+def first_of(names: Sequence[str], limit: int = 10) -> str:
     """Return the first names of a list, with dots where there are more."""
-    return ", ".join(names[:most]) + " ..." * (len(names) > most)
+    dots = " ..." if len(names) > limit else ""
+    return ", ".join(names[:limit]) + dots
 
 
 @contextmanager
-def requires(what: str, packages: str, install: str, file: object = None) -> Iterator[None]:
+def requires(needing: str, packages: str, install: str, file: object = None) -> Iterator[None]:
     """Run imports; where one fails, say what needs which packages, and how to install them.
 
     `what` has its verb, as in "charts require"; `install` is what pip installs.
@@ -162,9 +167,11 @@ def requires(what: str, packages: str, install: str, file: object = None) -> Ite
     try:
         yield
     except ImportError:
-        are, them = ("are", "them") if " and " in packages else ("is", "it")
-        raise TermselError(f"{what} {packages}, which {are} not installed", file=file,
-                           hint=f"Install {them}: pip install {install}.") from None
+        several = " and " in packages
+        verb = "are" if several else "is"
+        pronoun = "them" if several else "it"
+        raise TermselError(f"{needing} {packages}, which {verb} not installed", file=file,
+                           hint=f"Install {pronoun}: pip install {install}.") from None
 
 
 GIS = '"termsel[gis]"'

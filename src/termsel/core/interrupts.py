@@ -71,10 +71,10 @@ def _interrupt(_number: int, _frame: FrameType | None) -> None:
     raise KeyboardInterrupt
 
 
-def _not_raised(what: sys.UnraisableHookArgs) -> None:
+def _not_raised(unraisable: sys.UnraisableHookArgs) -> None:
     """Print what Python cannot raise, but for an interrupt, which comes again."""
-    if what.exc_type is not KeyboardInterrupt:
-        sys.__unraisablehook__(what)
+    if unraisable.exc_type is not KeyboardInterrupt:
+        sys.__unraisablehook__(unraisable)
 
 
 def answered() -> bool:

@@ -139,6 +139,7 @@ class Option:
                              hint=f"Accepted: {self.accepts}.", name=self.name)
         parsed: Any
         if self.type is bool:
+            # Also from files and the command line, where everything is text.
             text = str(value).strip().lower()
             if text not in _TRUE | _FALSE:
                 raise wrong
@@ -150,6 +151,7 @@ class Option:
                 parsed = self._number(value)
             except (TypeError, ValueError, OverflowError):
                 raise wrong from None
+            # Only NaN differs from itself; a bool would pass as 0 or 1.
             if isinstance(value, bool) or parsed != parsed or abs(parsed) == float("inf"):
                 raise wrong
         if self.choices and str(parsed) not in self.choices:
@@ -179,41 +181,44 @@ def _plain(bound: float) -> str:
     return f"{bound:,.0f}" if 1e5 <= abs(bound) < 1e13 and bound == int(bound) else f"{bound:g}"
 
 
-def by_part(given: Mapping[str, Any],
+def by_part(values: Mapping[str, Any],
             declared: Mapping[str, Iterable[Option]]) -> dict[str, dict[str, Any]]:
     """Return the options by part of a run, all parts among them; each has its declared options.
 
     They are given by name, or by ``part.name`` where several parts have an option of that name.
     Raises TermselError for an option that no part has, that several have, or that is given twice.
     """
-    parts_of: dict[str, list[str]] = {}
-    for part, options in declared.items():
+    owners: dict[str, list[str]] = {}
+    for owner, options in declared.items():
         for option in options:
-            parts_of.setdefault(option.name, []).append(part)
-    chosen: dict[str, dict[str, Any]] = {part: {} for part in declared}
-    for key, value in given.items():
-        asked, _, name = key.rpartition(".")
-        parts = [part for part in parts_of.get(name, ()) if asked in ("", part)]
-        if not parts:
-            raise unknown_name("option", key, parts_of)
-        if len(parts) > 1:
-            raise TermselError(f"{' and '.join(parts)} each have an option {name!r}",
-                               hint=f"Write {' or '.join(f'{one}.{name}' for one in parts)}.",
-                               name=name)
-        if name in chosen[parts[0]]:
-            raise TermselError(f"option {name!r} of the {parts[0]} is given twice",
+            owners.setdefault(option.name, []).append(owner)
+    values_by_owner: dict[str, dict[str, Any]] = {owner: {} for owner in declared}
+    for key, value in values.items():
+        prefix, _, name = key.rpartition(".")
+        # Without a prefix every part that declares the name is meant; more than one is ambiguous.
+        matching = [owner for owner in owners.get(name, ()) if prefix in ("", owner)]
+        if not matching:
+            raise unknown_name("option", key, owners)
+        if len(matching) > 1:
+            full_names = " or ".join(f"{owner}.{name}" for owner in matching)
+            raise TermselError(f"{' and '.join(matching)} each have an option {name!r}",
+                               hint=f"Write {full_names}.", name=name)
+        owner = matching[0]
+        if name in values_by_owner[owner]:
+            raise TermselError(f"option {name!r} of the {owner} is given twice",
                                hint="Give it once.", name=name)
-        chosen[parts[0]][name] = value
-    return chosen
+        values_by_owner[owner][name] = value
+    return values_by_owner
 
 
-def resolve(declared: Iterable[Option], given: Mapping[str, Any]) -> dict[str, Any]:
+def resolve(declared: Iterable[Option], values: Mapping[str, Any]) -> dict[str, Any]:
     """Return the value of every declared option, given what was set; refuse all else."""
     options = {option.name: option for option in declared}
-    for key in given:
+    for key in values:
         if key not in options:
             raise unknown_name("option", key, options)
-    return {name: option.parse(given.get(name, option.default)) for name, option in options.items()}
+    return {name: option.parse(values.get(name, option.default))
+            for name, option in options.items()}
 
 
 class Configurable(Glance, Guarded):

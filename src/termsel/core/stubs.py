@@ -21,7 +21,7 @@ def lazily(file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], li
     names: dict[str, list[str]] = {}
     for node in ast.parse(Path(file).with_suffix(".pyi").read_text(encoding="utf-8")).body:
         if isinstance(node, ast.ImportFrom):
-            place = str(node.module).removeprefix("termsel.")
-            names.setdefault(place, []).extend(alias.name for alias in node.names)
+            module = str(node.module).removeprefix("termsel.")
+            names.setdefault(module, []).extend(alias.name for alias in node.names)
     attached: tuple[Any, Any, list[str]] = lazy_loader.attach("termsel", submod_attrs=names)
     return attached

@@ -35,13 +35,14 @@ IMAGE_NAME = Option("image_name", None, "Name of the image, for files with sever
 """Option of readers that choose the points of one image."""
 
 
-def _answer_fault(_own: Configurable, value: Any, *_args: Any) -> str | None:
+def _answer_fault(_checked_object: Configurable, value: Any, *_args: Any) -> str | None:
     """Return what is wrong with a yes or no, if anything."""
+    # Plugins answer, and a truth value of another kind, such as a match, would pass as True.
     return None if isinstance(value, bool | np.bool_) else \
         f"returned {value!r:.100}; expected True or False"
 
 
-def _files_fault(_own: Configurable, value: Any, *_args: Any) -> str | None:
+def _files_fault(_checked_object: Configurable, value: Any, *_args: Any) -> str | None:
     return None if isinstance(value, tuple) and value \
         and all(isinstance(file, Path) for file in value) \
         else f"returned {value!r:.100}; expected a tuple of paths"
@@ -125,6 +126,7 @@ class Reader(Configurable, ABC):
 
         Such as the maps of a page, which a study takes one by one. Empty for other files.
         """
+        # A file of one part needs no option.
         return {}
 
     def placed(self, error: TermselError, path: Path) -> TermselError:
@@ -189,6 +191,7 @@ class Writer(Configurable, ABC):
 def located(error: TermselError, file: Path | None, line: int | None = None,
             column: str | None = None) -> TermselError:
     """Return `error` with the place where it was found; line and column stay where not given."""
+    # A copy, since an error may be kept and placed again by another caller.
     placed = copy(error)
     placed.file = file
     placed.line = line or error.line
@@ -196,21 +199,22 @@ def located(error: TermselError, file: Path | None, line: int | None = None,
     return placed
 
 
-def image_of(path: Path, images: Iterable[_Image], wanted: _Image | None, option: str) -> _Image:
+def image_of(path: Path, images: Iterable[_Image], asked_for: _Image | None, option: str) -> _Image:
     """Return which image of a file is read: the wanted or only one; an option chooses it."""
-    known = sorted(set(images))
-    chosen = known[0] if wanted is None and len(known) == 1 else wanted
-    if chosen is None or chosen not in known:
-        names = (f"{name:g}" if isinstance(name, float) else name or "without a name"
-                 for name in known)
-        raise TermselError(f"the file has points of the images {', '.join(names)}", file=path,
+    names_in_file = sorted(set(images))
+    name = names_in_file[0] if asked_for is None and len(names_in_file) == 1 else asked_for
+    if name is None or name not in names_in_file:
+        names = ", ".join(f"{image:g}" if isinstance(image, float) else image or "without a name"
+                          for image in names_in_file)
+        raise TermselError(f"the file has points of the images {names}", file=path,
                            hint=f"Choose one with --set {option}.")
-    return chosen
+    return name
 
 
 def read_text(path: Path) -> str:
     """Return the text of a UTF-8 file, without a byte order mark, line ends as they are."""
     data = read_data(path)
+    # UTF-16 is told apart by its mark, as the decoder would say something of a byte.
     if is_utf16(data):
         raise utf16_error(path)
     if b"\0" in data:
@@ -218,6 +222,7 @@ def read_text(path: Path) -> str:
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
+        # The decoder knows the byte; people look for lines.
         line = error.object[:error.start].count(b"\n") + 1
         raise TermselError("the text of this file is not UTF-8", file=path, line=line,
                            hint="Save it with the encoding UTF-8.") from error
@@ -227,6 +232,7 @@ def read_data(path: Path) -> bytes:
     """Return what a file holds; raises TermselError if it is no regular file or cannot be read."""
     refuse_pipe(path)
     try:
+        # Before it is read: a sparse file may claim more than there is memory.
         if path.stat().st_size > LARGEST:
             raise TermselError(f"this file has more than {LARGEST >> 20} MiB, too many for a text "
                                "or table that is read at once", file=path,
@@ -248,6 +254,7 @@ def parse_json(text: str, hint: str) -> Any:
                            ) from error
     except RecursionError:
         raise TermselError("this JSON is nested too deeply", hint=hint) from None
+    # Python refuses whole numbers of more digits than it can convert in a moment.
     except ValueError as error:
         raise TermselError("this JSON has a number of too many digits", hint=hint) from error
 
@@ -280,6 +287,7 @@ def read_once(path: Path) -> Iterator[Path]:
         return
     with private_folder() as folder:
         copy = folder / path.name
+        # A pipe can be read once, and several readers look at a file.
         try:
             with path.open("rb") as pipe:
                 content = pipe.read(LARGEST + 1)
@@ -292,6 +300,7 @@ def read_once(path: Path) -> Iterator[Path]:
         try:
             yield copy
         except TermselError as error:
+            # The user knows the pipe, not the copy.
             raise located(error, Path(str(error.file).replace(str(copy), str(path)))) from error
 
 

@@ -18,24 +18,26 @@ _TEXTS = (".prj", ".wkt", ".wkt2", ".txt", ".proj", ".proj4")
 _NO_CRS = "Give a file of WKT, a raster or a layer that has a CRS, or its name, such as EPSG:32631."
 
 
-def stated_crs(given: str | None) -> str | None:
+def stated_crs(stated: str | None) -> str | None:
     """Return the normal form of a CRS by name or by the file that has it; None for none.
 
     Raises TermselError where it is neither.
     """
-    if given is None:
+    if stated is None:
         return None
     # A user alone states a CRS so; a CRS within a file never names another file.
-    path = Path(given.strip())
-    is_file = len(given) < 1000 and "\n" not in given and bool(path.suffix) and is_there(path) \
+    path = Path(stated.strip())
+    # A name that is a file is one; all else, such as "EPSG:25832", is a CRS.
+    is_file = len(stated) < 1000 and "\n" not in stated and bool(path.suffix) and is_there(path) \
         and path.is_file()
-    return _crs_of_file(path) if is_file else normalise(given)
+    return _crs_of_file(path) if is_file else normalise(stated)
 
 
 def crs_next_to(path: Path) -> str:
     """Return the CRS in the file of the same name that ends in .prj, "" where there is none."""
-    prj = next((place for place in (path.with_suffix(".prj"), path.with_suffix(".PRJ"))
-                if place != path and is_there(place) and place.is_file()), None)
+    candidates = (path.with_suffix(".prj"), path.with_suffix(".PRJ"))
+    prj = next((candidate for candidate in candidates
+                if candidate != path and is_there(candidate) and candidate.is_file()), None)
     if prj is None:
         return ""
     crs = _crs_of_text(prj)
@@ -52,6 +54,7 @@ def _crs_of_file(path: Path) -> str:
         text = str(meta.get("crs") or "")
     else:
         with open_raster(path) as raster:
+            # Rasters with ground control points have their CRS with these.
             crs = raster.crs or raster.gcps[1]
             text = "" if crs is None else crs.to_wkt()
     if not text:
@@ -60,6 +63,7 @@ def _crs_of_file(path: Path) -> str:
 
 
 def _crs_of_text(path: Path) -> str:
+    # WKT may be written over many lines.
     text = " ".join(read_text(path).split())
     if not text:
         raise TermselError("this file is empty, expected a CRS", file=path, hint=_NO_CRS)

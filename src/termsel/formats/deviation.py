@@ -41,6 +41,7 @@ def places_of(fitted: Fit, heights: tuple[float, float] | None = None) -> FloatA
     By default at the lowest, middle and highest control.
     """
     middle, half = fitted.ground_box()
+    # Least, middle and greatest height of the ground, since the file may ignore heights.
     low, high = heights or (middle[2] - half[2], middle[2] + half[2])
     levels: set[float] = {float(low + share * (high - low)) for share in (0.0, 0.5, 1.0)} \
         if fitted.model.uses_height else {middle_height(fitted)}
@@ -53,6 +54,7 @@ def by_splines(xy: FloatArray, image: FloatArray) -> Transformation:
     """Return the thin plate spline from ground to image through GCPs (n, 2), as GDAL does."""
     from scipy.interpolate import RBFInterpolator
 
+    # Scaled, as the kernel r^2 log r of coordinates in metres is ill-conditioned.
     middle = xy.mean(axis=0)
     unit = float(np.ptp(xy, axis=0).max())
     spline = RBFInterpolator((xy - middle) / unit, image, kernel="thin_plate_spline")
@@ -60,26 +62,28 @@ def by_splines(xy: FloatArray, image: FloatArray) -> Transformation:
 
 
 def say_deviation(name: str, fitted: Fit, ground: FloatArray, image: FloatArray,
-                  where: str = "") -> None:
+                  ending: str = "") -> None:
     """Log the largest deviation of a format from the model, as a warning above CLOSE.
 
-    The file puts the places `ground` (n, 3) at `image` (n, 2); `where` ends the sentence.
+    The file puts the positions `ground` (n, 3) at `image` (n, 2); `ending` ends the sentence.
     """
-    apart = image - fitted.project(ground)
-    known = np.isfinite(apart).all(axis=1)
-    if not known.any():
+    difference = image - fitted.project(ground)
+    finite = np.isfinite(difference).all(axis=1)
+    if not finite.any():
         return
-    distance = np.hypot(*apart[known].T)
+    distance = np.hypot(*difference[finite].T)
     worst = int(np.argmax(distance))
-    place = ground[known][worst:worst + 1]
-    moved = fitted.locate(image[known][worst:worst + 1], place[:, 2])
-    metres = in_metres(fitted.control.crs, place, (moved - place)[:, :2])
+    worst_ground = ground[finite][worst:worst + 1]
+    # Where the model sees the pixel at which the file puts the worst position, at its height.
+    moved = fitted.locate(image[finite][worst:worst + 1], worst_ground[:, 2])
+    metres = in_metres(fitted.control.crs, worst_ground, (moved - worst_ground)[:, :2])
     length = "" if metres is None or not np.isfinite(metres).all() \
         else f" ({_size(float(np.hypot(*metres[0])))} m on the ground)"
-    close = distance[worst] <= CLOSE
-    log.log(logging.INFO if close else logging.WARNING,
-            "%s%s: at most %s px%s from the model%s.", "" if close else "Warning: ", name,
-            _size(float(distance[worst])), length, where)
+    is_close = distance[worst] <= CLOSE
+    level = logging.INFO if is_close else logging.WARNING
+    beginning = "" if is_close else "Warning: "
+    log.log(level, "%s%s: at most %s px%s from the model%s.", beginning, name,
+            _size(float(distance[worst])), length, ending)
 
 
 def _size(length: float) -> str:
@@ -92,13 +96,13 @@ def say_measured(name: str) -> None:
 
 
 def say_nearest(name: str, fitted: Fit, xy: FloatArray, image: FloatArray,
-                labels: Mapping[str, str], where: str) -> str | None:
+                labels: Mapping[str, str], ending: str) -> str | None:
     """Log which transformation through measured GCPs (n, 2) is nearest to the model, and how near.
 
     Returns its key, or None where there is none.
 
     `labels` are what the program calls the transformations that it offers, as `QGIS` and
-    `GDALWARP`, the simplest first; `where` is the rest of the sentence, with ``{}`` for the label.
+    `GDALWARP`, the simplest first; `ending` is the rest of the sentence, with ``{}`` for the label.
     """
     sky = sky_said(fitted)
     if sky:
@@ -106,30 +110,37 @@ def say_nearest(name: str, fitted: Fit, xy: FloatArray, image: FloatArray,
                     "Rectify the image with termsel, or crop it below the horizon.", name, sky)
     ground = places_of(fitted)
     exact = fitted.project(ground)
-    made = {key: by_gcps for key in labels
-            if (by_gcps := _by_gcps(key, xy, image, fitted.control.crs)) is not None}
+    transformations: dict[str, Transformation] = {}
+    for key in labels:
+        by_gcps = _by_gcps(key, xy, image, fitted.control.crs)
+        if by_gcps is not None:
+            transformations[key] = by_gcps
     if len(np.unique(xy, axis=0)) < len(xy):
         log.warning("Warning: %s: no thin plate spline goes through these GCPs, as some are above "
                     "each other.", name)
     elif len(xy) > _SPLINED:
         log.info("%s: a thin plate spline through more than %s GCPs is not tried, as it would fill "
                  "the memory.", name, f"{_SPLINED:,}")
-    if not made or not len(ground):
+    if not transformations or not len(ground):
         return None
-    places = {key: transformation(ground) for key, transformation in made.items()}
-    worst = {key: float(np.nan_to_num(np.hypot(*(place - exact).T), nan=np.inf).max())
-             for key, place in places.items()}
+    positions = {key: transformation(ground) for key, transformation in transformations.items()}
+    worst = {}
+    for key, computed in positions.items():
+        # A place without a position is infinitely far from the model.
+        distances = np.nan_to_num(np.hypot(*(computed - exact).T), nan=np.inf)
+        worst[key] = float(distances.max())
     # The simplest of those that are as near, which the order of the labels tells.
     nearest = next(key for key in labels if worst.get(key, np.inf) <= min(worst.values()) + _ALIKE)
-    ignored = ", and ignores heights" * fitted.model.uses_height
-    say_deviation(name, fitted, ground, places[nearest],
-                  f", {where.format(labels[nearest])}{ignored}")
+    ignored = ", and ignores heights" if fitted.model.uses_height else ""
+    say_deviation(name, fitted, ground, positions[nearest],
+                  f", {ending.format(labels[nearest])}{ignored}")
     return nearest
 
 
 def _by_gcps(key: str, xy: FloatArray, image: FloatArray, crs: str) -> Transformation | None:
     """Return a transformation by least squares of GCPs, or None if they do not determine it."""
     n = len(xy)
+    # At least two directions of points on either side are needed for any transformation.
     if not n or min(np.linalg.matrix_rank(at - at.mean(axis=0)) for at in (xy, image)) < 2:
         return None  # all on a line
     if key == "spline":
@@ -147,13 +158,16 @@ def _by_gcps(key: str, xy: FloatArray, image: FloatArray, crs: str) -> Transform
 
 def _similarity(xy: FloatArray, image: FloatArray) -> Transformation:
     """Return the similarity that fits the ground to the image best on the ground, as in QGIS."""
-    place = xy @ [1, 1j]
+    # A similarity is z -> a z + b of complex numbers: a and b that fit the ground best are those of
+    # a straight line through both.
+    plan = xy @ [1, 1j]
     pixel = image @ [-1j, 1]  # samples to the right, lines down
+    # Without a constant: both are taken from their means.
     away = pixel - pixel.mean()
-    turn = np.vdot(away, place - place.mean()) / np.vdot(away, away)
+    turn = np.vdot(away, plan - plan.mean()) / np.vdot(away, away)
 
     def project(ground: FloatArray) -> FloatArray:
-        at = pixel.mean() + (ground[:, :2] @ [1, 1j] - place.mean()) / turn
+        at = pixel.mean() + (ground[:, :2] @ [1, 1j] - plan.mean()) / turn
         return np.column_stack([-at.imag, at.real])
 
     return project
@@ -161,18 +175,22 @@ def _similarity(xy: FloatArray, image: FloatArray) -> Transformation:
 
 def _projective(xy: FloatArray, image: FloatArray) -> Transformation:
     """Return the projective transformation by the direct linear transformation of QGIS."""
-    def normalised(places: FloatArray) -> tuple[FloatArray, FloatArray]:
-        middle = places.mean(axis=0)
-        unit = np.sqrt(2.0) / np.linalg.norm(places - middle, axis=1).mean()
+    def normalised(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        # Hartley (1997): the centre at 0 and the mean distance sqrt(2), else the system is
+        # ill-conditioned.
+        middle = points.mean(axis=0)
+        unit = np.sqrt(2.0) / np.linalg.norm(points - middle, axis=1).mean()
         matrix = np.array([[unit, 0, -unit * middle[0]], [0, unit, -unit * middle[1]], [0, 0, 1]])
-        return np.column_stack([places, np.ones(len(places))]) @ matrix.T, matrix
+        return np.column_stack([points, np.ones(len(points))]) @ matrix.T, matrix
 
-    (source, of_image), (target, of_ground) = normalised(image), normalised(xy)
+    source, of_image = normalised(image)
+    target, of_ground = normalised(xy)
     # Each GCP crosses the ground place that is computed with the one that is known: 0.
     rows = [np.hstack([source, 0 * source, -target[:, :1] * source]),
             np.hstack([0 * source, source, -target[:, 1:2] * source])]
     # Of the triangle: U of thousands of rows would fill the memory.
     triangle = np.linalg.qr(np.concatenate(rows), mode="r")
+    # The right singular vector of the least singular value solves rows @ h = 0 with |h| = 1 best.
     to_ground = np.linalg.svd(triangle)[2][-1].reshape(3, 3)
     to_image = np.linalg.inv(of_image) @ np.linalg.inv(to_ground) @ of_ground
 

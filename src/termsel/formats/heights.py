@@ -67,6 +67,8 @@ class Dem:
         """Return heights, shape (n,), of x and y, shape (n, 2); NaN where there are none."""
         x, y = self.to_raster.transform(*np.asarray(xy, dtype=np.float64).T)
         if self.turns:
+            # Longitudes may count from -180 or from 0, so that the one nearest to the raster is
+            # meant.
             x = nearest(np.asarray(x), (self.raster.bounds.left + self.raster.bounds.right) / 2)
         x = np.asarray(x)
         y = np.asarray(y)
@@ -74,6 +76,8 @@ class Dem:
 
     def converted(self, x: FloatArray, y: FloatArray, heights: FloatArray) -> FloatArray:
         """Return the raster's own heights at its x and y as those of the ground coordinates."""
+        # First the unit, then the datum, which is in metres, then the unit of the ground
+        # coordinates.
         metres = heights * self.unit
         if self.to_datum is not None:
             metres = self.to_datum(np.column_stack([x, y, metres]))
@@ -81,22 +85,23 @@ class Dem:
 
     def _interpolated(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Return the raster's own heights at its x and y."""
-        place = positions(self.raster, x, y)
+        position = positions(self.raster, x, y)
         size = np.array(self.raster.shape)
-        heights = np.full(len(place), np.nan)
-        inside = np.flatnonzero(((place >= -0.5) & (place <= size - 0.5)).all(axis=1))
+        heights = np.full(len(position), np.nan)
+        inside = np.flatnonzero(((position >= -0.5) & (position <= size - 0.5)).all(axis=1))
         # In the outer half of the outermost pixels, heights are constant across the edge.
-        place = np.clip(place[inside], 0, size - 1)
-        first = np.minimum(place.astype(np.intp), np.maximum(size - 2, 0))
+        position = np.clip(position[inside], 0, size - 1)
+        first = np.minimum(position.astype(np.intp), np.maximum(size - 2, 0))
+        # Pixels are read tile by tile: all positions of a tile together.
         tiles, member = np.unique(first // _TILE, axis=0, return_inverse=True)
         order = np.argsort(member.ravel(), kind="stable")
         bounds = np.searchsorted(member.ravel()[order], np.arange(len(tiles) + 1))
         for i in range(len(tiles)):
-            some = order[bounds[i]:bounds[i + 1]]
-            start = first[some].min(axis=0)
-            pixels = self._pixels(start, first[some].max(axis=0))
-            heights[inside[some]] = _bilinear(pixels, first[some] - start,
-                                              place[some] - first[some])
+            members = order[bounds[i]:bounds[i + 1]]
+            start = first[members].min(axis=0)
+            pixels = self._pixels(start, first[members].max(axis=0))
+            heights[inside[members]] = _bilinear(pixels, first[members] - start,
+                                              position[members] - first[members])
         return heights
 
     def ellipsoidal(self, window: Any) -> FloatArray:
@@ -106,15 +111,16 @@ class Dem:
                                         rows.ravel() + window.row_off)
         heights = self.converted(x, y, self.stored(window).ravel())
         ground = np.column_stack([*self.to_raster.transform(x, y, direction="INVERSE"), heights])
-        known = np.isfinite(ground).all(axis=1)
-        heights[known] = to_wgs84(self.crs)(ground[known])[:, 2]
-        heights[~known] = np.nan
+        finite = np.isfinite(ground).all(axis=1)
+        heights[finite] = to_wgs84(self.crs)(ground[finite])[:, 2]
+        heights[~finite] = np.nan
         return heights.reshape(window.height, window.width)
 
     def _pixels(self, first: Any, last: Any) -> FloatArray:
         """Return the heights between two pixels, and the next row and column; NaN for none."""
         from rasterio.windows import Window
 
+        # The pixel after the last one is needed to interpolate towards it.
         rows, columns = (np.minimum(last + 2, self.raster.shape) - first).tolist()
         return self.stored(Window(int(first[1]), int(first[0]), columns, rows))
 
@@ -132,6 +138,7 @@ def _bilinear(pixels: FloatArray, first: Any, share: FloatArray) -> FloatArray:
     heights = np.zeros(len(first))
     for down in (0, 1):
         for right in (0, 1):
+            # (1 - u) or u along lines by (1 - v) or v along samples, for the four pixels around.
             weight = np.abs(1 - down - share[:, 0]) * np.abs(1 - right - share[:, 1])
             row = first[:, 0] + down * (weight > 0)
             column = first[:, 1] + right * (weight > 0)
@@ -184,6 +191,7 @@ def open_dem(path: Path, crs: str) -> Iterator[Dem]:
         with requires("heights require", "pyproj", GIS):
             from pyproj import CRS, Transformer
             from pyproj.exceptions import CRSError, ProjError
+        # A raster without georeferencing has the identity, which would put pixels at degrees.
         if raster.crs is None or raster.transform.is_identity:
             raise TermselError("this raster is not georeferenced", file=path,
                                hint="Give a raster with a geotransform and a CRS.")
@@ -191,21 +199,23 @@ def open_dem(path: Path, crs: str) -> Iterator[Dem]:
             raise TermselError(f"this raster has {raster.count} bands, expected one of heights",
                                file=path, hint="Choose one, for example with gdal_translate -b.")
         try:
-            own = CRS.from_user_input(raster.crs.to_wkt())
-            to_raster = Transformer.from_crs(CRS.from_user_input(crs).to_2d(), own.to_2d(),
+            raster_crs = CRS.from_user_input(raster.crs.to_wkt())
+            # x before y on both sides, whatever the order of axes that the CRS states.
+            to_raster = Transformer.from_crs(CRS.from_user_input(crs).to_2d(), raster_crs.to_2d(),
                                              always_xy=True)
         except (CRSError, ProjError) as error:  # of a building, or of the Moon
             raise TermselError(f"the CRS of this raster cannot be used: {error}", file=path,
                                hint=_PLACED) from error
-        if not (own.is_geographic or own.is_projected):
-            raise TermselError(f"the CRS of this raster, {own.name}, has no horizontal "
+        if not (raster_crs.is_geographic or raster_crs.is_projected):
+            raise TermselError(f"the CRS of this raster, {raster_crs.name}, has no horizontal "
                                "coordinates",
                                file=path, hint=_PLACED)
-        own = with_declared_datum(raster, own, path)
-        unit = metres_of_band(raster, own, path)
-        to_datum = to_datum_of(crs, own, path)
-        yield Dem(path, raster, to_raster, said(own, to_datum is not None, crs), own.is_geographic,
-                  crs, unit, to_datum)
+        raster_crs = with_declared_datum(raster, raster_crs, path)
+        unit = metres_of_band(raster, raster_crs, path)
+        to_datum = to_datum_of(crs, raster_crs, path)
+        datum = said(raster_crs, to_datum is not None, crs)
+        yield Dem(path, raster, to_raster, datum, turns=raster_crs.is_geographic, crs=crs,
+                  unit=unit, to_datum=to_datum)
 
 
 def write_ellipsoidal(surface: Dem, path: Path, bounds: tuple[float, float, float, float],
@@ -220,23 +230,25 @@ def write_ellipsoidal(surface: Dem, path: Path, bounds: tuple[float, float, floa
     from rasterio.windows import Window, from_bounds
 
     raster = surface.raster
-    whole = Window(0, 0, raster.width, raster.height)
+    full_window = Window(0, 0, raster.width, raster.height)
+    # Along the edges as well as at the corners, as they are curves in the other CRS.
     inside = from_bounds(*transform_bounds(crs, raster.crs, *bounds, densify_pts=21),
                          transform=raster.transform)
     first = np.floor([inside.row_off, inside.col_off]).astype(int) - _AROUND
     last = np.ceil([inside.row_off + inside.height, inside.col_off + inside.width]).astype(int)
     try:
-        part = Window.from_slices(*(slice(max(low, 0), max(high + _AROUND, 1)) for low, high in
-                                    zip(first, last, strict=True))).intersection(whole)
+        rows, columns = (slice(max(low, 0), max(high + _AROUND, 1))
+                         for low, high in zip(first, last, strict=True))
+        window = Window.from_slices(rows, columns).intersection(full_window)
     except WindowError:  # none of the map has heights
-        part = Window(0, 0, 1, 1)
+        window = Window(0, 0, 1, 1)
     profile = {"driver": "GTiff", "count": 1, "dtype": "float32", "nodata": _NODATA,
-               "tiled": True, "crs": raster.crs, "width": part.width, "height": part.height,
-               "transform": raster.window_transform(part)}
+               "tiled": True, "crs": raster.crs, "width": window.width, "height": window.height,
+               "transform": raster.window_transform(window)}
     with rasterio.open(path, "w", **profile) as written:
         for _, block in written.block_windows():
-            heights = surface.ellipsoidal(Window(block.col_off + part.col_off,
-                                                 block.row_off + part.row_off, block.width,
+            heights = surface.ellipsoidal(Window(block.col_off + window.col_off,
+                                                 block.row_off + window.row_off, block.width,
                                                  block.height))
             written.write(np.nan_to_num(heights, nan=_NODATA).astype(np.float32), 1, window=block)
 
@@ -253,9 +265,9 @@ def difference_of(features: FeatureSet, surface: Dem) -> DemDifference | None:
     off = {name for name, role in zip(features.points.ids, features.points.roles, strict=True)
            if role == "off"}
     owners = np.array(features.ids, dtype=object)[features.vertex_feature]
-    known = np.isfinite(ground[:, 2]) & ~np.isin(owners, list(off))
+    has_height = np.isfinite(ground[:, 2]) & ~np.isin(owners, list(off))
     unit = height_unit(features.crs)
-    return dem_difference(ground[known, 2] * unit, surface(ground[known, :2]) * unit,
+    return dem_difference(ground[has_height, 2] * unit, surface(ground[has_height, :2]) * unit,
                           printable(surface.path.name))
 
 
@@ -284,11 +296,11 @@ def with_heights(features: FeatureSet, dem: Path) -> FeatureSet:
         difference = difference_of(features, surface)
         ground[unknown, 2] = surface(ground[unknown, :2])
         datum = surface.datum
-    gone = np.isnan(ground[:, 2])
-    if gone.any():
+    still_unknown = np.isnan(ground[:, 2])
+    if still_unknown.any():
         n = len(features.points)
         owner = features.points.ids + tuple(np.repeat(features.lines.ids, 2))
-        names = list(dict.fromkeys(str(owner[i]) for i in np.flatnonzero(gone)))
+        names = list(dict.fromkeys(str(owner[i]) for i in np.flatnonzero(still_unknown)))
         raise TermselError(f"{len(names)} of {len(features)} features are outside the raster or "
                            f"in areas without data: {first_of(names)}", file=dem, ids=names,
                            hint="Give a larger raster, fill its holes, or remove these features.")

@@ -43,14 +43,14 @@ def image_size_of(image: Path | str) -> tuple[int, int]:
         return int(raster.height), int(raster.width)
 
 
-def with_image_origin(features: FeatureSet, asked: str | None, states_own: bool,
+def with_image_origin(features: FeatureSet, choice: str | None, states_own: bool,
                       size: tuple[int, int] | None = None, default: str = "") -> FeatureSet:
     """Return features whose image coordinates count from the centre of the upper-left pixel.
 
     Parameters
     ----------
     features : FeatureSet
-    asked : str, optional
+    choice : str, optional
         One of the choices of `IMAGE_ORIGIN`.
     states_own : bool
         Whether the format of their file says where it counts from.
@@ -66,9 +66,9 @@ def with_image_origin(features: FeatureSet, asked: str | None, states_own: bool,
         and that is not known; if lines are upwards by all signs, and nothing says so.
     """
     size = features.image_size or size
-    asked = asked or default or None
-    if asked is not None:
-        origin = str(IMAGE_ORIGIN.parse(asked))
+    choice = choice or default or None
+    if choice is not None:
+        origin = str(IMAGE_ORIGIN.parse(choice))
         origin = f"{TOP}-{CORNER}" if origin == CORNER else origin
         if states_own:
             raise TermselError("the format of this file defines the origin of its lines and "
@@ -77,14 +77,16 @@ def with_image_origin(features: FeatureSet, asked: str | None, states_own: bool,
     if states_own or not len(features):
         return features
     lines = features.image_vertices()[:, 0]
+    # A line above 0 is of an image whose lines count downwards; a few pixels below 0 are just
+    # beyond its edge.
     if lines.max() > 0 or lines.min() >= -MARGIN:
         return features
     if size is None or lines.min() < -(size[0] - 0.5 + MARGIN):
-        known = "the height of the image is not known" if size is None else \
+        size_in_words = "the height of the image is not known" if size is None else \
             f"the image has {size[0]} lines"
         raise TermselError(
             f"all lines are at most 0, from {lines.min():g} to {lines.max():g}, as if y pointed "
-            f"upwards, and {known}",
+            f"upwards, and {size_in_words}",
             hint="State their origin: --set image_origin=y-up or y-up-corner (QGIS, "
                  "ArcGIS), or top-left to keep them as they are. Or give the image with --image "
                  "FILE.")
@@ -125,11 +127,11 @@ def require_inside(features: FeatureSet, size: tuple[int, int] | None,
     take no part.
     """
     off = np.array([role == "off" for role in features.points.roles], dtype=bool)
-    places = features.with_(points=features.points.take(~off)).image_vertices()
-    if not len(places):
+    positions = features.with_(points=features.points.take(~off)).image_vertices()
+    if not len(positions):
         return
-    first = places.min(axis=0)
-    last = places.max(axis=0)
+    first = positions.min(axis=0)
+    last = positions.max(axis=0)
     if size is not None and (last > np.array(size) - 0.5 + MARGIN).any():
         raise other_image(size, f"but features extend to line {last[0]:g} and sample {last[1]:g}",
                           image)

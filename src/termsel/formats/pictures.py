@@ -129,7 +129,7 @@ def _text_of_vrt(raster: Any) -> str:
 
 
 def _band(raster: Any, number: int, element: ElementTree.Element, thematic: bool) -> Band:
-    def said(name: str, default: str) -> str:
+    def text_of(name: str, default: str) -> str:
         return element.findtext(name) or default
 
     table = _table(element.findall("ColorTable/Entry"))
@@ -138,9 +138,10 @@ def _band(raster: Any, number: int, element: ElementTree.Element, thematic: bool
     classes = thematic or any(names) or raster.tags(number).get("LAYER_TYPE") == "thematic"
     return Band(
         _DATA_TYPES[raster.dtypes[number - 1]], raster.nodatavals[number - 1],
-        raster.colorinterp[number - 1].name, number, table, names, classes,
-        said("Description", ""), said("UnitType", ""), float(said("Scale", "1")),
-        float(said("Offset", "0")), int(bits) if bits.isdecimal() else None)
+        raster.colorinterp[number - 1].name, source=number, table=table, categories=names,
+        thematic=classes, description=text_of("Description", ""), unit=text_of("UnitType", ""),
+        scale=float(text_of("Scale", "1")), offset=float(text_of("Offset", "0")),
+        bits=int(bits) if bits.isdecimal() else None)
 
 
 def _table(entries: Sequence[ElementTree.Element]) -> tuple[Colour, ...]:
@@ -152,7 +153,7 @@ def _table(entries: Sequence[ElementTree.Element]) -> tuple[Colour, ...]:
 
 
 def _colour(entry: ElementTree.Element) -> Colour:
-    red, green, blue, alpha = (int(entry.get(f"c{part}", "255")) for part in (1, 2, 3, 4))
+    red, green, blue, alpha = (int(entry.get(f"c{component}", "255")) for component in (1, 2, 3, 4))
     return red, green, blue, alpha
 
 
@@ -186,10 +187,10 @@ def expanded(picture: Picture) -> Picture:
 
     Colours that are not opaque become alpha, and so does an index for no data.
     """
-    made: list[Band] = []
+    bands: list[Band] = []
     for band in picture.bands:
         if not band.category:
-            made.append(band)
+            bands.append(band)
             continue
         table = np.array(band.table or GREY_OF_BITS)
         if band.nodata is not None and 0 <= band.nodata < len(table):
@@ -197,9 +198,9 @@ def expanded(picture: Picture) -> Picture:
         grey = bool((table[:, :3] == table[:, :1]).all())
         names = ["gray"] if grey else ["red", "green", "blue"]
         columns = [0] if grey else [0, 1, 2]
-        if (table[:, 3] < 255).any() and not any(other.alpha for other in picture.bands):
+        if (table[:, 3] < 255).any() and not any(any_band.alpha for any_band in picture.bands):
             names.append("alpha")
             columns.append(3)
-        made += [Band("Byte", None, name, band.source, lookup=tuple(table[:, column].tolist()))
+        bands += [Band("Byte", None, name, band.source, lookup=tuple(table[:, column].tolist()))
                  for name, column in zip(names, columns, strict=True)]
-    return replace(picture, bands=tuple(made))
+    return replace(picture, bands=tuple(bands))

@@ -49,31 +49,39 @@ def averaged(ids: Sequence[str], image: FloatArray, ground: FloatArray, sigma: F
     at one place: one of them would be lost.
     """
     off = np.array([role == "off" for role in roles])
-    kept: list[int] = []
+    first_rows: list[int] = []
     means = np.array(image)
     deviations = None if sigma is None else np.array(sigma)
-    together = []
+    repeated = []
     for rows in repeated_places(ground, with_single=True):
         used = [row for row in rows if not off[row]] or list(rows)
+        # Different roles at one place: one of them would be lost.
         named = {roles[row] for row in used}
         if len(named) > 1:
             raise TermselError(
                 f"{places_in_words(ids, [used])} and different roles, so they have no mean",
                 hint="Give them one role, or remove all but one.", ids=[ids[used[1]]])
-        kept.append(used[0])
+        first_rows.append(used[0])
         means[used[0]] = image[used].mean(axis=0)
         if sigma is not None and deviations is not None:
             # Of independent measurements: sqrt(sum of squares) / number.
             deviations[used[0]] = np.sqrt((sigma[used] ** 2).sum(axis=0)) / len(used)
         if len(used) > 1:
-            together.append(used)
-    if together:
-        apart = max(float(np.linalg.norm(image[used] - means[used[0]], axis=1).max())
-                    for used in together)
-        names = "; ".join(", ".join(ids[row] for row in used) for used in together[:5])
-        more = f" and {len(together) - 5} more" if len(together) > 5 else ""
-        log.warning("Note: %s measured more than once %s averaged: %s%s. They are up to %.3g px "
-                    "from their means.", counted(len(together), "point"),
-                    "is" if len(together) == 1 else "are", names, more, apart)
-    first = np.array(sorted(kept), dtype=np.intp)
+            repeated.append(used)
+    if repeated:
+        _say_averaged(ids, image, means, repeated)
+    first = np.array(sorted(first_rows), dtype=np.intp)
     return first, means[first], None if deviations is None else deviations[first]
+
+
+def _say_averaged(ids: Sequence[str], image: FloatArray, means: FloatArray,
+                  repeated: Sequence[Sequence[int]]) -> None:
+    """Log which rows were averaged, and how far they are from their means at most."""
+    distances = [float(np.linalg.norm(image[rows] - means[rows[0]], axis=1).max())
+                 for rows in repeated]
+    groups = [", ".join(ids[row] for row in rows) for rows in repeated[:5]]
+    remainder = f" and {len(repeated) - 5} more" if len(repeated) > 5 else ""
+    verb = "is" if len(repeated) == 1 else "are"
+    log.warning("Note: %s measured more than once %s averaged: %s%s. They are up to %.3g px "
+                "from their means.", counted(len(repeated), "point"), verb, "; ".join(groups),
+                remainder, max(distances))

@@ -120,36 +120,38 @@ def size_with_rpc(rpc: Any) -> tuple[int, int] | None:
 
 
 def with_rpc(features: FeatureSet, rpc: Rpc | Path | str,
-             part: ImagePart | None = None) -> FeatureSet:
+             image_part: ImagePart | None = None) -> FeatureSet:
     """Return features with the RPC of their image, and with the size of an image that has it.
 
     The RPC may be of a larger image, of which theirs is a part.
     """
     if isinstance(rpc, Rpc):
-        return replace(features, rpc=rpc if part is None else part.rpc(rpc))
+        return replace(features, rpc=rpc if image_part is None else image_part.rpc(rpc))
     path, _ = _named_part(Path(rpc))
     size = features.image_size
-    found = read_rpc(rpc)
-    if part is not None:
-        return replace(features, rpc=part.rpc(found))
-    return replace(features, rpc=found, image_size=size or size_with_rpc(path))
+    full_rpc = read_rpc(rpc)
+    if image_part is not None:
+        return replace(features, rpc=image_part.rpc(full_rpc))
+    return replace(features, rpc=full_rpc, image_size=size or size_with_rpc(path))
 
 
-def _read(path: Path, head: bytes, part: str) -> Rpc:
+def _read(path: Path, head: bytes, rpc_name: str) -> Rpc:
     if b"\0" in head and not is_utf16(head):
         items, of_bands = _in_image(path)
         if not items and not of_bands:
             raise TermselError("this image has no RPC that GDAL finds", file=path,
                                hint=f"Expected {KNOWN}.")
-        return from_items(items) if items and not part else _of_several(of_bands, part, bands=True)
+        if items and not rpc_name:
+            return from_items(items)
+        return _of_several(of_bands, rpc_name, bands=True)
     if head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"<"):
-        return _from_xml(path, part)
+        return _from_xml(path, rpc_name)
     text = read_text(path)
     entries = {name: (value, line) for name, value, line in _entries(text)}
-    own = {rpb: name for name, rpb in (RPB_NAMES | ERROR_NAMES).items()}
+    gdal_names = {rpb: name for name, rpb in (RPB_NAMES | ERROR_NAMES).items()}
     items = {}
     for name, (value, line) in entries.items():
-        item = own.get(name, name)
+        item = gdal_names.get(name, name)
         if item.startswith((*RPB_NAMES, *ERROR_NAMES)):
             for number in (_NUMBERS.findall(value) if "(" in value else value.split()[:1]):
                 _number(number, name, line)
@@ -160,7 +162,7 @@ def _read(path: Path, head: bytes, part: str) -> Rpc:
     nested = rpcs_of_tree(tree_of_json(text) if is_json else tree_of_yaml(text))
     if not nested:
         raise _in_no_known_form(path, text)
-    return _of_several(nested, part)
+    return _of_several(nested, rpc_name)
 
 
 def _in_image(path: Path) -> tuple[dict[str, str], dict[str, Items]]:
@@ -198,6 +200,7 @@ def _of_several(items_of: Mapping[str, Items], name: str, *, bands: bool = False
 def _in_no_known_form(path: Path, text: str, root: str = "") -> TermselError:
     """Return the error for a file in which no RPC is read: it may have one in another form."""
     kind = f"this XML <{root}>" if root else "this file"
+    # What has some of an RPC's names is one in a form not known; all else is another file.
     if not _TRACES.search(text):
         return TermselError(f"{kind} has no RPC in a form that termsel reads", file=path,
                             hint=f"Expected {KNOWN}.")
@@ -217,6 +220,7 @@ def _entries(text: str) -> Iterator[tuple[str, str, int]]:
     closed = text.rfind(")")  # looked for once, as many may be open
     line, counted, at = 1, 0, 0
     while name := _NAME.search(text, at):
+        # Lines are counted on from the last entry, so that the whole text is gone through once.
         line += text.count("\n", counted, name.start(1))
         counted = name.start(1)
         # Values follow "=" or ":"; those in parentheses may span lines.
@@ -234,28 +238,35 @@ def from_items(items: Mapping[str, str]) -> Rpc:
     Coefficients are in LINE_NUM_COEFF with 20 numbers or in LINE_NUM_COEFF_1 and so on. Units after
     numbers are ignored. Raises TermselError for items that are missing or not numbers.
     """
-    def one(name: str) -> float:
-        if not (found := items.get(name, "").split()):
+    def number_of(name: str) -> float:
+        words = items.get(name, "").split()
+        if not words:
             raise TermselError(f"the RPC lacks {name}", hint="Is the file complete?")
-        return _number(found[0], name)
+        return _number(words[0], name)
 
-    def twenty(name: str) -> tuple[float, ...]:
-        if name in items:
-            found = tuple(_number(text, name) for text in _NUMBERS.findall(items[name]))
-            if len(found) != N_COEFFICIENTS:
-                raise TermselError(f"{name} has {len(found)} numbers, expected {N_COEFFICIENTS}",
-                                   hint="Is the file complete?")
-            return found
-        return tuple(one(f"{name}_{i + 1}") for i in range(N_COEFFICIENTS))
+    def coefficients_of(name: str) -> tuple[float, ...]:
+        # 20 numbers in one item, or an item each.
+        if name not in items:
+            return tuple(number_of(f"{name}_{i + 1}") for i in range(N_COEFFICIENTS))
+        numbers = tuple(_number(text, name) for text in _NUMBERS.findall(items[name]))
+        if len(numbers) != N_COEFFICIENTS:
+            raise TermselError(f"{name} has {len(numbers)} numbers, expected {N_COEFFICIENTS}",
+                               hint="Is the file complete?")
+        return numbers
 
-    bias, random = (None if not items.get(name) or (error := one(name)) < 0 else error
+    # Negative errors stand for unknown ones.
+    bias, random = (None if not items.get(name) or (error := number_of(name)) < 0 else error
                     for name in ERROR_NAMES)
     return Rpc(
-        (one("LINE_OFF"), one("SAMP_OFF")), (one("LINE_SCALE"), one("SAMP_SCALE")),
-        (one("LONG_OFF"), one("LAT_OFF"), one("HEIGHT_OFF")),
-        (one("LONG_SCALE"), one("LAT_SCALE"), one("HEIGHT_SCALE")),
-        twenty("LINE_NUM_COEFF"), twenty("LINE_DEN_COEFF"), twenty("SAMP_NUM_COEFF"),
-        twenty("SAMP_DEN_COEFF"), bias, random)
+        image_offset=(number_of("LINE_OFF"), number_of("SAMP_OFF")),
+        image_scale=(number_of("LINE_SCALE"), number_of("SAMP_SCALE")),
+        ground_offset=(number_of("LONG_OFF"), number_of("LAT_OFF"), number_of("HEIGHT_OFF")),
+        ground_scale=(number_of("LONG_SCALE"), number_of("LAT_SCALE"), number_of("HEIGHT_SCALE")),
+        line_numerator=coefficients_of("LINE_NUM_COEFF"),
+        line_denominator=coefficients_of("LINE_DEN_COEFF"),
+        sample_numerator=coefficients_of("SAMP_NUM_COEFF"),
+        sample_denominator=coefficients_of("SAMP_DEN_COEFF"),
+        error_bias=bias, error_random=random)
 
 
 def _number(text: str, name: str, line: int | None = None) -> float:
@@ -280,12 +291,15 @@ def _from_xml(path: Path, name: str) -> Rpc:
     except ElementTree.ParseError as error:
         raise TermselError(f"this XML cannot be read: {error}", file=path,
                            line=error.position[0], hint="Is the file complete?") from error
+    # Vendors have their own trees; the rest of the forms has names that tell.
     if root.tag == "Dimap_Document":
         return _from_dimap(root)
     if of_bands := rpcs_of_xml(root):
         return _of_several(of_bands, name, bands=True)
-    items = {item.get("key", ""): item.text or "" for domain in root.iter("Metadata")
-             if domain.get("domain") == "RPC" for item in domain.iter("MDI")}
+    items: dict[str, str] = {}
+    for domain in root.iter("Metadata"):
+        if domain.get("domain") == "RPC":
+            items |= {item.get("key", ""): item.text or "" for item in domain.iter("MDI")}
     if not items:
         digital_globe = {rpb.upper(): name for name, rpb in (RPB_NAMES | ERROR_NAMES).items()}
         items = {digital_globe[name]: text for name, text in _texts(root) if name in digital_globe}
@@ -296,15 +310,16 @@ def _from_xml(path: Path, name: str) -> Rpc:
 
 def _parsed(content: bytes) -> ElementTree.Element:
     """Return the root of XML in any encoding that Python knows."""
+    # The parser of Python knows few encodings of several bytes.
     try:
         return ElementTree.fromstring(content)
     except ElementTree.ParseError:
         raise
     except ValueError:  # of several bytes, such as GB2312, which the parser itself has not
-        found = _ENCODING.search(content[:200])
-        if found is None:
+        encoding = _ENCODING.search(content[:200])
+        if encoding is None:
             raise
-        return ElementTree.fromstring(content.decode(found[1].decode("ascii")))
+        return ElementTree.fromstring(content.decode(encoding[1].decode("ascii")))
 
 
 def _from_dimap(root: ElementTree.Element) -> Rpc:
@@ -334,13 +349,14 @@ def _from_dimap(root: ElementTree.Element) -> Rpc:
     for name in ("LINE_OFF", "SAMP_OFF"):
         if name in items:
             items[name] = repr(_number(items[name].strip(), name) - origin)
+    # Errors of DIMAP are of another definition.
     return from_items({name: text for name, text in items.items() if name not in ERROR_NAMES})
 
 
 def _texts(element: ElementTree.Element) -> Iterator[tuple[str, str]]:
-    for part in element.iter():
-        if part.text and part.text.strip():
-            yield part.tag, part.text
+    for descendant in element.iter():
+        if descendant.text and descendant.text.strip():
+            yield descendant.tag, descendant.text
 
 
 _UNKNOWN = -1.0  # what GDAL and vendors write for an error that is not known
@@ -378,6 +394,7 @@ def write_rpc(rpc: Rpc, path: Path | str) -> None:
 
 def rpb_text(rpc: Rpc) -> str:
     """Return the text of an RPB file; numbers keep all their digits."""
+    # Vendors write these keys, and some readers look for them.
     lines = ['satId = "";', 'bandId = "";', 'SpecId = "RPC00B";', "BEGIN_GROUP = IMAGE"]
     for name, value in _values(rpc).items():
         rpb = (ERROR_NAMES | RPB_NAMES)[name]
@@ -409,6 +426,7 @@ def rpc_items(rpc: Rpc) -> dict[str, str]:
 def _values(rpc: Rpc) -> dict[str, float | tuple[float, ...]]:
     """Return numbers by GDAL's names."""
     (line, sample) = rpc.image_offset
+    # The order of GDAL's names: latitude before longitude.
     (line_scale, sample_scale) = rpc.image_scale
     (lon, lat, height) = rpc.ground_offset
     (lon_scale, lat_scale, height_scale) = rpc.ground_scale

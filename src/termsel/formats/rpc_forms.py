@@ -43,23 +43,25 @@ _IS_RPC = {"LINE_NUM_COEFF", "SAMP_DEN_COEFF"}
 
 def rpcs_of_tree(tree: object) -> dict[str, Items]:
     """Return the RPCs in nested dictionaries, each by the name that they have there."""
-    found: dict[str, Items] = {}
+    rpcs: dict[str, Items] = {}
     for path, values in _dictionaries(tree, ()):
         items = _items(values)
         if items.keys() >= _IS_RPC:
+            # The nearest key above that says more than "rpc" names the image or band.
             name = next((key for key in reversed(path) if key.lower() != "rpc"), "")
-            found[name if name not in found else "/".join(path)] = items
-    return found
+            # Where one name stands for several, all keys tell them apart.
+            rpcs[name if name not in rpcs else "/".join(path)] = items
+    return rpcs
 
 
 def rpcs_of_xml(root: ElementTree.Element) -> dict[str, Items]:
     """Return the RPCs of bands in XML, by the numbers of the bands."""
-    found = {}
+    rpcs = {}
     for band in root.iter("bandID"):
         items = _items({element.tag: element.text for element in band})
         if items.keys() >= _IS_RPC:
-            found[band.get("number", "")] = items
-    return found
+            rpcs[band.get("number", "")] = items
+    return rpcs
 
 
 def rpc_of_tags(tags: Mapping[str, str]) -> Items:
@@ -89,6 +91,7 @@ def tree_of_yaml(text: str) -> dict[str, Any]:
         if not colon or not key or text_of_value[:1].strip():
             return {}
         indent = len(name) - len(name.lstrip(" "))
+        # Deeper blocks end where a line is indented as they are, or less.
         value = text_of_value.strip()
         while levels[-1][0] >= indent:
             levels.pop()
@@ -106,36 +109,40 @@ def tree_of_yaml(text: str) -> dict[str, Any]:
 def largest_difference(rpcs: Mapping[str, Rpc], name: str) -> float:
     """Return how far others see places from where the RPC of a name sees them, at most [px]."""
     rpc = rpcs[name]
+    # A lattice over the cube within which an RPC is valid: offset +- scale along each axis.
     steps = np.array(list(product(np.linspace(-1.0, 1.0, 5), repeat=3)))
     ground = steps * rpc.ground_scale + rpc.ground_offset
     image = rpc.project(ground)
+    # Outside of its cube an RPC means nothing.
     inside = (np.abs(image - rpc.image_offset) <= rpc.image_scale).all(axis=1)
-    seen = ground[inside]
-    away = [np.linalg.norm(other.project(seen) - image[inside], axis=1) for other in rpcs.values()]
+    visible_ground = ground[inside]
+    away = [np.linalg.norm(other_rpc.project(visible_ground) - image[inside], axis=1)
+            for other_rpc in rpcs.values()]
     return float(np.nanmax(away, initial=0.0))
 
 
 def _whole_lines(text: str) -> Iterator[str]:
     """Yield the lines of YAML, those of a list in brackets as one, without comments."""
-    held: list[str] = []
+    joined: list[str] = []
     open_brackets = 0
     for line in text.splitlines():
         content = line.split(" #")[0].rstrip()
         if not content.strip() or content.lstrip().startswith(("#", "---")):
             continue
-        held.append(content.strip() if held else content)
+        joined.append(content.strip() if joined else content)
         open_brackets += content.count("[") - content.count("]")
         if open_brackets <= 0:
-            yield " ".join(held)
-            held = []
+            yield " ".join(joined)
+            joined = []
             open_brackets = 0
-    if held:
-        yield " ".join(held)
+    if joined:
+        yield " ".join(joined)
 
 
 def _dictionaries(tree: object, path: tuple[str, ...],
                   ) -> Iterator[tuple[tuple[str, ...], dict[str, Any]]]:
     """Yield the dictionaries of a tree, with the keys that lead to them."""
+    # A file can nest without end and still be small.
     if len(path) > DEEPEST:
         raise TermselError("the file is nested too deeply for one of RPCs",
                            hint="Give the file of the RPC.")
@@ -153,10 +160,11 @@ def _items(values: Mapping[str, Any]) -> Items:
     """Return the numbers of an RPC by GDAL's names, whatever names they have."""
     items: Items = {}
     for key, value in values.items():
-        plain = re.sub(r"[^a-z0-9]", "", str(key).lower())
-        if plain in _ERRORS:
-            items[_ERRORS[plain]] = str(value)
-        match = _NAME.fullmatch(plain)
+        # "lineNumCoef", "LINE_NUM_COEFF" and "line num coeff" have the same letters.
+        letters = re.sub(r"[^a-z0-9]", "", str(key).lower())
+        if letters in _ERRORS:
+            items[_ERRORS[letters]] = str(value)
+        match = _NAME.fullmatch(letters)
         if match is None:
             continue
         name = f"{_COORDINATES[match[1]]}_{_NUMBERS[match[2]]}"
@@ -173,6 +181,7 @@ def _items(values: Mapping[str, Any]) -> Items:
 
 
 def _joined(items: Items, name: str) -> str:
+    # By their numbers, as 10 comes before 2 in the order of text.
     keys = [key for key in items if key.startswith(f"{name}_")]
     return " ".join(items[key] for key in sorted(keys, key=_number_of))
 

@@ -37,20 +37,21 @@ def read_toml(file: Path, kind: str, hint: str) -> tuple[dict[str, Any], str]:
     text = read_text(file)
     endless = TermselError(f"this is not {kind}: its keys or numbers have no end", file=file,
                            hint=hint)
+    # Before it is parsed, as the time grows with the square of the dots.
     if _BOMB.search(text):
         raise endless
     try:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        what, _, place = str(error).rpartition(" (at ")
-        numbers = [int(word) for word in place.replace(",", " ").rstrip(")").split()
-                   if word.isdecimal()]
+        # tomllib gives the position in the text of its message alone.
+        reason, _, position = str(error).rpartition(" (at ")
+        numbers = list(map(int, re.findall(r"\d+", position)))
         line, column = numbers if len(numbers) == 2 else (text.count("\n") + 1, None)
-        twice = _TWICE.match(what)
+        twice = _TWICE.match(reason)
         if twice:
-            what = f"the key {twice[1]!r} is stated twice, or [{twice[1]}] stands where " \
+            reason = f"the key {twice[1]!r} is stated twice, or [{twice[1]}] stands where " \
                    f"[[{twice[1]}]] should"
-        raise TermselError(f"this is not TOML: {what or place}", file=file, line=line,
+        raise TermselError(f"this is not TOML: {reason or position}", file=file, line=line,
                            column=column, hint=hint) from error
     except (RecursionError, ValueError) as error:  # lists in lists, numbers of 20,000 digits
         raise endless from error
@@ -66,15 +67,16 @@ def read_toml(file: Path, kind: str, hint: str) -> tuple[dict[str, Any], str]:
 
 def _values(table: Mapping[str, Any], endless: TermselError) -> Iterator[tuple[str, Any]]:
     """Yield keys and all else within a table, each with the key that it is under."""
-    within: list[tuple[str, Any, int]] = [("", table, 0)]
-    while within:
-        key, value, depth = within.pop()
+    pending: list[tuple[str, Any, int]] = [("", table, 0)]
+    # A stack, not recursion, which a file could exhaust.
+    while pending:
+        key, value, depth = pending.pop()
         if depth > _DEEPEST:
             raise endless
         if isinstance(value, Mapping):
             yield from ((name, name) for name in value)
-            within += [(name, part, depth + 1) for name, part in value.items()]
+            pending += [(name, item, depth + 1) for name, item in value.items()]
         elif isinstance(value, list):
-            within += [(key, part, depth + 1) for part in value]
+            pending += [(key, item, depth + 1) for item in value]
         else:
             yield key, value

@@ -52,6 +52,7 @@ def metres_of_band(raster: Any, crs: CRS, path: Path) -> float:
     Raises TermselError for a unit that is no length, units that differ, and where x and y are in
     feet and nothing says whether heights are.
     """
+    # The unit of the band is about its numbers; that of the axis is of the CRS.
     stated = (raster.units[0] or "").strip()
     of_band = unit_of_word(stated) if stated else None
     if stated and of_band is None:
@@ -68,6 +69,7 @@ def metres_of_band(raster: Any, crs: CRS, path: Path) -> float:
                 f"in {axes[2].unit_name}", file=path,
                 hint="Correct one of them: gdal_edit.py -units states the unit of the band.")
         return size
+    # Heights of a map in feet are as often in feet as in metres.
     in_feet = unit_of_size(float(axes[0].unit_conversion_factor)) if crs.is_projected else METRE
     if of_band is None and in_feet in WORDS and in_feet != METRE:
         raise TermselError(
@@ -83,6 +85,7 @@ def with_declared_datum(raster: Any, crs: CRS, path: Path) -> CRS:
 
     Raises TermselError if PROJ does not know that.
     """
+    # A third axis, or a compound CRS, says it by itself.
     if len(crs.axis_info) > 2:
         return crs
     vertical = _by_tags(raster, path)
@@ -93,11 +96,11 @@ def with_declared_datum(raster: Any, crs: CRS, path: Path) -> CRS:
     from pyproj import CRS
     from pyproj.crs import CompoundCRS
 
-    part = CRS.from_user_input(vertical)
-    return CompoundCRS(f"{crs.name} + {part.name}", [crs, part])
+    vertical_crs = CRS.from_user_input(vertical)
+    return CompoundCRS(f"{crs.name} + {vertical_crs.name}", [crs, vertical_crs])
 
 
-def to_datum_of(crs: str, own: CRS, path: Path) -> Heights | None:
+def to_datum_of(crs: str, raster_crs: CRS, path: Path) -> Heights | None:
     """Return what converts heights [m] of a raster's CRS to those of a CRS; None if nothing must.
 
     A CRS that states no vertical datum has ellipsoidal heights. Raises TermselError where PROJ
@@ -106,23 +109,24 @@ def to_datum_of(crs: str, own: CRS, path: Path) -> Heights | None:
     from pyproj import CRS
 
     control = CRS.from_user_input(crs)
-    datum = vertical_datum(own)
-    if not datum or _frame(own) == _frame(control):
+    datum = vertical_datum(raster_crs)
+    if not datum or _frame(raster_crs) == _frame(control):
         return None
     try:
-        convert = transformation(with_height_unit(own.to_wkt(), METRE),
+        convert = transformation(with_height_unit(raster_crs.to_wkt(), METRE),
                                  with_height_unit(crs, METRE), strict=False)
     except TermselError as error:
         reason = error.what.partition(": ")[2] or error.what
         raise TermselError(
             f"the heights of this raster are {datum}, those of the ground coordinates are "
             f"{_described(crs)}, and {reason}", file=path,
-            hint=f"{error.hint or 'Give a raster of the same heights.'}{_same(crs, own)}"
+            hint=f"{error.hint or 'Give a raster of the same heights.'}{_same(crs, raster_crs)}"
         ) from error
 
-    def heights(places: FloatArray) -> FloatArray:
-        converted = convert(places)[:, 2]
-        return np.where(np.isfinite(places).all(axis=1) & np.isfinite(converted), converted,
+    # PROJ gives infinity where a grid has no value.
+    def heights(ground: FloatArray) -> FloatArray:
+        converted = convert(ground)[:, 2]
+        return np.where(np.isfinite(ground).all(axis=1) & np.isfinite(converted), converted,
                         np.nan)
 
     return heights
@@ -134,12 +138,13 @@ def _described(crs: str) -> str:
     return "taken as ellipsoidal" if reference.startswith("not stated") else reference
 
 
-def _same(crs: str, own: CRS) -> str:
+def _same(crs: str, raster_crs: CRS) -> str:
     """Return what to do where ground coordinates have the heights of a raster, if that is open."""
-    part = _vertical(own)
-    number = None if part is None else part.to_epsg()
+    vertical_crs = _vertical(raster_crs)
+    number = None if vertical_crs is None else vertical_crs.to_epsg()
     if not height_reference(crs).startswith("not stated") or number is None:
         return ""
+    # Only a code can be completed by a second one.
     plane = re.fullmatch(r"EPSG:(\d+)", crs)
     return (" If the control has the same heights as the raster, state it when you run termsel: "
             f"--crs {crs if plane else 'EPSG:n'}+{number}.")
@@ -147,13 +152,14 @@ def _same(crs: str, own: CRS) -> str:
 
 def _vertical(crs: CRS) -> CRS | None:
     """Return the vertical part of a compound CRS."""
-    return next((part for part in crs.sub_crs_list if part.is_vertical), None)
+    return next((component for component in crs.sub_crs_list if component.is_vertical), None)
 
 
 def _frame(crs: CRS) -> tuple[str, str]:
     """Return what heights are above: a kind of surface and its name."""
     vertical = _vertical(crs)
     if vertical is not None:
+        # Two geoids are two surfaces; two CRSs of one geoid are one.
         return "geoid", str(vertical.datum.name if vertical.datum else vertical.name)
     geodetic = crs.geodetic_crs
     return "ellipsoid", "" if geodetic is None else str(geodetic.datum.name if geodetic.datum
@@ -163,6 +169,7 @@ def _frame(crs: CRS) -> tuple[str, str]:
 def _by_tags(raster: Any, path: Path) -> str | None:
     """Return the vertical datum that tags state: a code of EPSG, or "ellipsoidal"."""
     for name, value in {**raster.tags(), **raster.tags(1)}.items():
+        # The name must be of heights and of a datum: "height" alone is a number.
         if not _OF_HEIGHTS.search(name) or not _OF_DATUM.search(name):
             continue
         words = tuple(re.findall(r"[a-z]+|\d+", value.lower()))
@@ -189,13 +196,14 @@ def _is_number(value: str) -> bool:
 
 def _datum_of(words: tuple[str, ...]) -> str | None:
     """Return the datum that some consecutive words name, the longest name first."""
-    known = _vertical_names()
+    codes = _vertical_names()
+    # "navd 88 height" before "navd".
     for count in range(min(len(words), _LONGEST_NAME), 0, -1):
         for name in _joined(words, count):
-            code = known.get(_OTHER_NAMES.get(name, name))
+            code = codes.get(_OTHER_NAMES.get(name, name))
             if code is not None:
                 return code
-    joined = {name for count in (1, 2) for name in _joined(words, count)}
+    joined = {*_joined(words, 1), *_joined(words, 2)}
     return "ellipsoidal" if joined & _ELLIPSOIDAL else None
 
 
@@ -210,19 +218,20 @@ def _vertical_names() -> dict[str, str]:
     from pyproj.database import query_crs_info
     from pyproj.enums import PJType
 
-    found: dict[str, str] = {}
-    for one in query_crs_info(auth_name="EPSG", pj_types=PJType.VERTICAL_CRS):
-        code = f"EPSG:{one.code}"
-        found[f"epsg{one.code}"] = code
-        name = one.name.removesuffix(" height")
-        if name != one.name and not one.deprecated:
-            found.setdefault("".join(re.findall(r"[a-z]+|\d+", name.lower())), code)
-    return found
+    codes: dict[str, str] = {}
+    for info in query_crs_info(auth_name="EPSG", pj_types=PJType.VERTICAL_CRS):
+        code = f"EPSG:{info.code}"
+        # By its code as well, "EPSG:5773", as some tags have it.
+        codes[f"epsg{info.code}"] = code
+        name = info.name.removesuffix(" height")
+        if name != info.name and not info.deprecated:
+            codes.setdefault("".join(re.findall(r"[a-z]+|\d+", name.lower())), code)
+    return codes
 
 
-def said(own: CRS, converted: bool, crs: str) -> str:
+def said(raster_crs: CRS, converted: bool, crs: str) -> str:
     """Return the vertical datum of a raster in words, and what it was converted to."""
-    datum = vertical_datum(own)
+    datum = vertical_datum(raster_crs)
     if not datum:
         return "not declared by the raster"
     return f"{datum}, converted to that of {short(crs)}" if converted else datum

@@ -26,21 +26,21 @@ IMAGE = Option("image", None, "The image; if not given, the VRT has a size but n
 
 def picture_for(result: Result, image: Path | str | None) -> Picture:
     """Return what a VRT must know of the image of a result, by default of a size that holds all."""
-    known = result.features.image_size
+    size_of_features = result.features.image_size
     if image is None:
-        require_inside(result.features, known, None)
+        require_inside(result.features, size_of_features, None)
         bottom, right = np.maximum(result.fit.image_box()[1],
                                    result.features.image_vertices().max(axis=0))
-        size = known or (max(1, int(bottom) + 1), max(1, int(right) + 1))
-        if known is None:
+        size = size_of_features or (max(1, int(bottom) + 1), max(1, int(right) + 1))
+        if size_of_features is None:
             log.warning("Warning: the size of the image is not known; %d lines and %d samples "
                         "hold "
                         "all features. Give --image FILE.", *size)
         return Picture(size)
     picture = picture_of(Path(image))
-    if known is not None and picture.size != known:
-        raise other_image(picture.size, f"the image of the result {known[0]} and {known[1]}",
-                           image)
+    if size_of_features is not None and picture.size != size_of_features:
+        lines, samples = size_of_features
+        raise other_image(picture.size, f"the image of the result {lines} and {samples}", image)
     require_inside(result.features, picture.size, image)
     return picture
 
@@ -59,32 +59,32 @@ def vrt_text(
     heights and the CRS `crs`, a code or WKT.
     """
     lines, samples = picture.size
-    parts = [f'<VRTDataset rasterXSize="{samples}" rasterYSize="{lines}">']
+    rows = [f'<VRTDataset rasterXSize="{samples}" rasterYSize="{lines}">']
     for domain, items in (domains or {}).items():
-        parts.append(f"  <Metadata domain={xml_attribute(domain)}>" if domain else "  <Metadata>")
-        parts += [f"    <MDI key={xml_attribute(key)}>{xml_text(value)}</MDI>"
+        rows.append(f"  <Metadata domain={xml_attribute(domain)}>" if domain else "  <Metadata>")
+        rows += [f"    <MDI key={xml_attribute(key)}>{xml_text(value)}</MDI>"
                   for key, value in items.items()]
-        parts.append("  </Metadata>")
+        rows.append("  </Metadata>")
     if gcps:
-        parts.append(f"  <GCPList Projection={xml_attribute(crs)}>")
-        parts += [
+        rows.append(f"  <GCPList Projection={xml_attribute(crs)}>")
+        rows += [
             f'    <GCP Id={xml_attribute(name)} Info="" Pixel="{sample + 0.5!r}" '
             f'Line="{line + 0.5!r}" X="{x!r}" Y="{y!r}" Z="{z!r}"/>'
             for name, (line, sample), (x, y, z) in zip(
                 gcps.ids, gcps.image.tolist(), gcps.ground.tolist(), strict=True)]
-        parts.append("  </GCPList>")
+        rows.append("  </GCPList>")
     source = None if picture.path is None else _name_in_vrt(picture.path, folder)
     for number, band in enumerate(picture.bands, 1):
-        parts.append(f'  <VRTRasterBand dataType="{band.type}" band="{number}">')
-        parts += [f"    {line}" for line in _said_of(band)]
+        rows.append(f'  <VRTRasterBand dataType="{band.type}" band="{number}">')
+        rows += [f"    {line}" for line in _said_of(band)]
         if source is not None:
-            parts += _pixels_of(source, str(band.source), picture.size, band.lookup)
-        parts.append("  </VRTRasterBand>")
+            rows += _pixels_of(source, str(band.source), picture.size, band.lookup)
+        rows.append("  </VRTRasterBand>")
     if picture.masked and source is not None:
-        parts += ["  <MaskBand>", '  <VRTRasterBand dataType="Byte">',
+        rows += ["  <MaskBand>", '  <VRTRasterBand dataType="Byte">',
                   *_pixels_of(source, "mask,1", picture.size),
                   "  </VRTRasterBand>", "  </MaskBand>"]
-    return "\n".join([*parts, "</VRTDataset>", ""])
+    return "\n".join([*rows, "</VRTDataset>", ""])
 
 
 def _name_in_vrt(image: Path, folder: Path) -> str:

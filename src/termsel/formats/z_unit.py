@@ -39,22 +39,25 @@ _BEYOND = 150.0  # metres by which no geoid is from an ellipsoid
 _WITHIN, _MOST, _FEW = 1.2, 0.9, 0.1  # half-ranges of an RPC's heights; shares of heights in them
 
 
-def with_z_unit(features: FeatureSet, asked: str | None, dem: Path | None = None) -> FeatureSet:
+def with_z_unit(features: FeatureSet, stated: str | None, dem: Path | None = None) -> FeatureSet:
     """Return features whose CRS states the unit of z, as it is asked, declared or told.
 
     A DEM or an RPC tells it where one unit alone agrees with it. Independent points say nothing
     here. Raises TermselError where z may be in feet or in metres and nothing tells; for a unit that
     plane coordinates without a CRS cannot have.
     """
-    if asked is not None:
-        return _asked(features, asked)
+    if stated is not None:
+        return _asked(features, stated)
     heights = features.ground_vertices()[:, 2]
+    # Without any height, or without a CRS, there is nothing to convert.
     if features.crs == LOCAL or not np.isfinite(heights).any():
         return features
     declared = height_axis_unit(features.crs)
+    # The CRS declares it: nothing is guessed against that.
     if declared is not None:
         unit = unit_of_size(declared)
         return features if unit in (None, METRE) else replace(features, z_unit=WORDS[str(unit)])
+    # z equal to 0 is the same in every unit.
     if not is_unit_open(features.crs) or not np.nan_to_num(heights).any():
         return features
     in_feet = str(unit_of_plane(features.crs))
@@ -68,15 +71,15 @@ def with_z_unit(features: FeatureSet, asked: str | None, dem: Path | None = None
         hint=f"State it: --set z_unit={in_feet} or --set z_unit={METRE}.")
 
 
-def _asked(features: FeatureSet, asked: str) -> FeatureSet:
+def _asked(features: FeatureSet, stated: str) -> FeatureSet:
     """Return features in the unit that is asked for."""
-    if asked not in Z_UNIT.choices:
-        raise TermselError(f"option 'z_unit' does not take {asked!r}",
+    if stated not in Z_UNIT.choices:
+        raise TermselError(f"option 'z_unit' does not take {stated!r}",
                            hint=f"It takes: {' | '.join(Z_UNIT.choices)}.")
     if features.crs == LOCAL:
         raise TermselError("plane coordinates without a CRS have z in their own unit",
                            hint="Leave z_unit out, or state the CRS of the ground coordinates.")
-    unit = unit_of_plane(features.crs) or METRE if asked == OF_PLANE else asked
+    unit = unit_of_plane(features.crs) or METRE if stated == OF_PLANE else stated
     return _in(features, unit, "as stated")
 
 
@@ -88,9 +91,10 @@ def _in(features: FeatureSet, unit: str, why: str) -> FeatureSet:
 def _telling(features: FeatureSet) -> FeatureSet:
     """Return the points with a height, but those that are off or independent."""
     points = features.points
-    judged = [role not in ("off", "independent") for role in points.roles] or [True] * len(points)
+    # Of lines all vertices count; roles are of points alone.
+    has_say = [role not in ("off", "independent") for role in points.roles] or [True] * len(points)
     return features.with_(points=points.take(np.isfinite(points.ground).all(axis=1)
-                                             & np.array(judged, dtype=bool)))
+                                             & np.array(has_say, dtype=bool)))
 
 
 def _by_dem(features: FeatureSet, units: tuple[str, ...], dem: Path) -> str | None:
@@ -99,13 +103,15 @@ def _by_dem(features: FeatureSet, units: tuple[str, ...], dem: Path) -> str | No
     ground = ground[np.isfinite(ground[:, 2])]
     with open_dem(dem, with_height_unit(features.crs, METRE)) as surface:
         surface_heights = surface(ground[:, :2])
-    known = np.isfinite(surface_heights)
-    apart = {unit: ground[known, 2] * UNITS[unit] - surface_heights[known] for unit in units}
-    if not known.any():
+    on_dem = np.isfinite(surface_heights)
+    differences = {unit: ground[on_dem, 2] * UNITS[unit] - surface_heights[on_dem]
+                   for unit in units}
+    if not on_dem.any():
         return None
-    if known.sum() >= _TELLING:
-        return _clearly({unit: _scatter(over) for unit, over in apart.items()})
-    distance = {unit: float(np.median(np.abs(over))) for unit, over in apart.items()}
+    if on_dem.sum() >= _TELLING:
+        return _clearly({unit: _scatter(over) for unit, over in differences.items()})
+    # Of few points only distances beyond that of any geoid tell a unit.
+    distance = {unit: float(np.median(np.abs(over))) for unit, over in differences.items()}
     return _clearly(distance) if max(distance.values()) > _BEYOND else None
 
 
@@ -118,16 +124,17 @@ def _by_rpc(features: FeatureSet, units: tuple[str, ...], rpc: Rpc) -> str | Non
     scatter: dict[str, float] = {}
     covered: dict[str, float] = {}
     for unit in units:
-        places = to_wgs84(with_height_unit(features.crs, unit))(points.ground)
+        ground = to_wgs84(with_height_unit(features.crs, unit))(points.ground)
         with np.errstate(all="ignore"):
-            scatter[unit] = _scatter(rpc.project(places) - points.image)
-        above = np.abs(places[:, 2] - rpc.ground_offset[2])
+            scatter[unit] = _scatter(rpc.project(ground) - points.image)
+        # In wrong units most heights are outside of the range that the RPC was made for.
+        above = np.abs(ground[:, 2] - rpc.ground_offset[2])
         covered[unit] = float((above <= _WITHIN * abs(rpc.ground_scale[2])).mean())
     clearly = _clearly(scatter) if len(points) >= _TELLING else None
     if clearly is not None:
         return clearly
-    best, other = sorted(units, key=lambda unit: -covered[unit])
-    return best if covered[best] >= _MOST and covered[other] <= _FEW else None
+    best, second = sorted(units, key=lambda unit: -covered[unit])
+    return best if covered[best] >= _MOST and covered[second] <= _FEW else None
 
 
 def _scatter(values: FloatArray) -> float:
@@ -138,5 +145,6 @@ def _scatter(values: FloatArray) -> float:
 
 def _clearly(sizes: Mapping[str, float]) -> str | None:
     """Return what has clearly the smallest size, if anything has."""
-    best, other = sorted(sizes, key=lambda unit: sizes[unit])
-    return best if sizes[best] < _CLEAR * sizes[other] else None
+    # The best must be three times as near as the other, which noise is not.
+    best, second = sorted(sizes, key=lambda unit: sizes[unit])
+    return best if sizes[best] < _CLEAR * sizes[second] else None

@@ -79,7 +79,7 @@ def prediction_of(result: Result) -> Prediction | None:
     else:
         method = f"by cross-validation of {counted(points, 'control point')}"
     return Prediction(expected.rmse, expected.low, expected.high, expected.level,
-                      pixel_on_ground(result.fit), method, points)
+                      pixel=pixel_on_ground(result.fit), method=method, points=points)
 
 
 def accuracy_tags(result: Result) -> dict[str, str]:

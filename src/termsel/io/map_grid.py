@@ -69,10 +69,12 @@ def within(grid: MapGrid, bounds: tuple[float, float, float, float], crs: str) -
     from rasterio.warp import transform_bounds
 
     west, south, east, north = transform_bounds(horizontal(crs), grid.crs, *bounds)
-    (left, top) = ~grid.transform @ (west, north)
-    (right, bottom) = ~grid.transform @ (east, south)
-    first = max(int(np.floor(left)), 0), max(int(np.floor(top)), 0)
-    last = min(int(np.ceil(right)), grid.samples), min(int(np.ceil(bottom)), grid.lines)
+    # Of the inverse of the grid's affine map: columns and rows of two opposite corners.
+    first_column, first_row = ~grid.transform @ (west, north)
+    last_column, last_row = ~grid.transform @ (east, south)
+    first = max(int(np.floor(first_column)), 0), max(int(np.floor(first_row)), 0)
+    last = (min(int(np.ceil(last_column)), grid.samples),
+            min(int(np.ceil(last_row)), grid.lines))
     if last[0] <= first[0] or last[1] <= first[1]:
         raise TermselError("the image shows nothing within the bounds of the map",
                            hint="Give other bounds.")

@@ -19,7 +19,7 @@ from termsel.data.rasters import open_raster
 from termsel.formats.pictures import Band, Colour, Picture, expanded
 from termsel.io.map_grid import MapGrid
 from termsel.io.map_positions import MapPositions
-from termsel.io.resampling import Part, extent, reach, resampled
+from termsel.io.resampling import ImageWindow, extent, reach, resampled
 
 log = logging.getLogger(__name__)
 
@@ -96,9 +96,11 @@ class MapPixels:
         if len(self.picture.bands) > 1 or not self.category:
             return None
         stored = self.picture.bands[0].bits
-        enough = [bits for bits in (1, 2, 4) if stored is not None and bits >= stored
-                  and (self.nodata or 0) < 2 ** bits]
-        return enough[0] if enough else None
+        # As few as hold the pixels of the image and the value of no data.
+        for bits in (1, 2, 4):
+            if stored is not None and bits >= stored and (self.nodata or 0) < 2**bits:
+                return bits
+        return None
 
 
 def map_pixels(picture: Picture, resampling: str | None, nodata: float | None) -> MapPixels:
@@ -118,6 +120,7 @@ def map_pixels(picture: Picture, resampling: str | None, nodata: float | None) -
         If the resampling is not known or would mix classes, or if pixels cannot hold the value.
     """
     picture, resampling = _resampled(picture, resampling)
+    # Of several bands of transparency the last is used, and drawn last; the others are left out.
     alpha = [index for index, band in enumerate(picture.bands) if band.alpha][-1:]
     colours = [index for index in range(len(picture.bands)) if index not in alpha]
     if not colours:
@@ -125,29 +128,30 @@ def map_pixels(picture: Picture, resampling: str | None, nodata: float | None) -
                            hint="Give an image with colours or values.")
     bands = [picture.bands[index] for index in colours + alpha]
     empty = tuple(band.nodata for band in bands[:len(colours)])
-    common, alike = _common(empty)
+    common, same = _common(empty)
     # The warper takes one value for all bands; where there are several it takes bands one by one.
     warped = replace(picture, masked=picture.masked and not alpha, bands=tuple(
-        band if alike and not band.alpha else replace(band, nodata=None) for band in bands))
-    made = MapPixels(warped, tuple(int(place) for place in np.argsort(colours + alpha)), resampling,
-                     empty, None, None)
+        band if same and not band.alpha else replace(band, nodata=None) for band in bands))
+    # argsort inverts the reordering: the map has the bands in the order of the image.
+    order = tuple(int(index) for index in np.argsort(colours + alpha))
+    spec = MapPixels(warped, order, resampling, empty, None, None)
     if nodata is not None:
-        _require_held(nodata, made.dtype)
+        _require_held(nodata, spec.dtype)
         if alpha:
             log.warning("Warning: the map has an alpha band, which marks the outside; the value "
                         "%g of --nodata is written there, but not declared.", nodata)
-        return replace(made, nodata=None if alpha else nodata, fill=nodata)
+        return replace(spec, nodata=None if alpha else nodata, fill=nodata)
     if alpha:
-        return made
-    if not alike:
+        return spec
+    if not same:
         log.warning("Note: the bands of the image have different nodata values, and a GeoTIFF "
                     "has only one: a mask marks the outside.")
-    elif common is None and made.dtype.kind in "fc":
+    elif common is None and spec.dtype.kind in "fc":
         common = float("nan")
-    elif common is None and made.table:
+    elif common is None and spec.table:
         # QGIS draws a table next to a mask without its colours.
         common = _unused_index(picture)
-    return replace(made, nodata=common, fill=common)
+    return replace(spec, nodata=common, fill=common)
 
 
 def _unused_index(picture: Picture) -> int | None:
@@ -160,17 +164,20 @@ def _unused_index(picture: Picture) -> int | None:
         for _, window in raster.block_windows(band.source):
             used[raster.read(band.source, window=window).ravel()] = True
     unused = np.flatnonzero(~used)
-    beyond = unused[unused >= len(band.table)]
-    candidates = beyond if len(beyond) else unused
+    past_table = unused[unused >= len(band.table)]
+    candidates = past_table if len(past_table) else unused
     return int(candidates[0]) if len(candidates) else None
 
 
 def _common(values: tuple[float | None, ...]) -> tuple[float | None, bool]:
     """Return the value that all bands have for no data, and whether they have the same or none."""
     first = values[0]
-    alike = all(value == first or (value is not None and first is not None
-                                   and np.isnan(value) and np.isnan(first)) for value in values)
-    return (first, True) if alike else (None, False)
+    for value in values[1:]:
+        both_nan = value is not None and first is not None \
+            and np.isnan(value) and np.isnan(first)
+        if value != first and not both_nan:
+            return None, False
+    return first, True
 
 
 def _resampled(picture: Picture, resampling: str | None) -> tuple[Picture, str]:
@@ -194,7 +201,8 @@ def _resampled(picture: Picture, resampling: str | None) -> tuple[Picture, str]:
                     "as "
                     "%s mixes pixels; without --resampling it keeps them.", resampling)
         return expanded(picture), str(resampling)
-    if any(0 < alpha < 255 for band in bands for *_, alpha in band.table):
+    alphas = {colour[3] for band in bands for colour in band.table}
+    if any(0 < alpha < 255 for alpha in alphas):
         log.warning("Note: the map has red, green, blue and alpha instead of the image's table, "
                     "as colours of that are partly transparent.")
         return expanded(picture), "nearest"
@@ -213,7 +221,7 @@ def _require_held(nodata: float, dtype: np.dtype[Any]) -> None:
                            hint="Give another --nodata.")
 
 
-def warp(raster: Any, output: Path, grid: MapGrid, made: MapPixels, *, tags: Mapping[str, str],
+def warp(raster: Any, output: Path, grid: MapGrid, spec: MapPixels, *, tags: Mapping[str, str],
          progress: Callable[[float], None] | None, positions: MapPositions | None = None,
          **options: Any) -> None:
     """Warp a picture, tile by tile, into a cloud-optimised GeoTIFF.
@@ -224,7 +232,7 @@ def warp(raster: Any, output: Path, grid: MapGrid, made: MapPixels, *, tags: Map
         The VRT of `made.picture`, with georeferencing unless positions are given.
     output : pathlib.Path
     grid : MapGrid
-    made : MapPixels
+    spec : MapPixels
     tags : mapping
         Of the map.
     progress : callable, optional
@@ -239,160 +247,161 @@ def warp(raster: Any, output: Path, grid: MapGrid, made: MapPixels, *, tags: Map
         nonlocal lost
         shape = window.height, window.width
         if positions is not None:
-            tile, shown = _interpolated(raster, made, positions.of_tile(shape, transform))
+            tile, visible = _interpolated(raster, spec, positions.of_tile(shape, transform))
         else:
-            tile, shown = with_dataset(raster, _warped, made, shape, grid.crs, transform,
+            tile, visible = with_dataset(raster, _warped, spec, shape, grid.crs, transform,
                                        options)
-        if made.table:
-            opaque = np.ones(max(len(made.table), int(tile[0].max()) + 1), dtype=bool)
-            opaque[:len(made.table)] = [alpha > 0 for *_, alpha in made.table]
-            shown &= opaque[tile[0]]
-        if made.fill is not None:
-            if made.nodata is not None:
-                lost += _kept_apart(tile[:len(made.empty)], shown, made)
-            tile[:len(made.empty), ~shown] = made.fill
-        in_order = made.order == tuple(range(len(tile)))
-        return tile if in_order else tile[list(made.order)], shown
+        if spec.table:
+            opaque = np.ones(max(len(spec.table), int(tile[0].max()) + 1), dtype=bool)
+            opaque[:len(spec.table)] = [alpha > 0 for *_, alpha in spec.table]
+            visible &= opaque[tile[0]]
+        if spec.fill is not None:
+            if spec.nodata is not None:
+                lost += _kept_apart(tile[:len(spec.empty)], visible, spec)
+            tile[:len(spec.empty), ~visible] = spec.fill
+        in_order = spec.order == tuple(range(len(tile)))
+        return tile if in_order else tile[list(spec.order)], visible
 
-    write_cog(output, _profile(grid, made), pixels, describe=lambda tiled: _describe(
-        tiled, made, tags), progress=progress,
-        masked=made.masked, nearest=made.category, bits=made.bits)
+    write_cog(output, _profile(grid, spec), pixels, describe=lambda tiled: _describe(
+        tiled, spec, tags), progress=progress,
+        masked=spec.masked, nearest=spec.category, bits=spec.bits)
     if lost:
         log.warning("Warning: %d px of the map have the value %g of --nodata in the image itself; "
-                    "they are empty on the map. Give another value, or none.", lost, made.nodata)
+                    "they are empty on the map. Give another value, or none.", lost, spec.nodata)
 
 
-def _interpolated(raster: Any, made: MapPixels, places: FloatArray) -> tuple[Values, Mask]:
+def _interpolated(raster: Any, spec: MapPixels, positions: FloatArray) -> tuple[Values, Mask]:
     """Return a tile of the map, alpha last, and where it shows the image, from its positions."""
-    colours = len(made.empty)
-    bands = colours + made.alpha
-    shape = places.shape[:2]
-    empty = np.array([0.0 if value is None else value for value in made.empty] + [0.0] * made.alpha)
-    part = _window_of(raster, made, places)
-    if part is None:
-        tile = np.zeros((bands, *shape), dtype=made.dtype)
-        tile[:] = empty.astype(made.dtype)[:, None, None]
+    colours = len(spec.empty)
+    bands = colours + spec.alpha
+    shape = positions.shape[:2]
+    empty = np.array([0.0 if value is None else value for value in spec.empty] + [0.0] * spec.alpha)
+    window = _window_of(raster, spec, positions)
+    if window is None:
+        tile = np.zeros((bands, *shape), dtype=spec.dtype)
+        tile[:] = empty.astype(spec.dtype)[:, None, None]
         return tile, np.zeros(shape, dtype=bool)
-    size = part.width * part.height * bands * made.dtype.itemsize
+    size = window.width * window.height * bands * spec.dtype.itemsize
     if size > _LARGEST_PART and max(shape) > 1:
         # Of a map that is much coarser than the image, a tile is made in two halves.
         axis = int(np.argmax(shape))
-        halves = [_interpolated(raster, made, half) for half in np.array_split(places, 2, axis)]
+        halves = [_interpolated(raster, spec, half) for half in np.array_split(positions, 2, axis)]
         return (np.concatenate([tile for tile, _ in halves], axis + 1),
-                np.concatenate([shown for _, shown in halves], axis))
-    values, known = _read(raster, made, part)
-    tile, there = resampled(Part(values, known, part.row_off, part.col_off), places,
-                            made.resampling, raster.shape, empty)
+                np.concatenate([visible for _, visible in halves], axis))
+    values, has_data = _read(raster, spec, window)
+    image_window = ImageWindow(values, has_data, window.row_off, window.col_off)
+    tile, has_value = resampled(image_window, positions, spec.resampling, raster.shape, empty)
     # As gdalwarp has it: what is no data in some bands counts in the others.
-    shown = np.asarray(there[:colours].any(axis=0))
-    if made.alpha:
-        shown &= tile[-1] != 0
-    return tile, shown
+    visible = np.asarray(has_value[:colours].any(axis=0))
+    if spec.alpha:
+        visible &= tile[-1] != 0
+    return tile, visible
 
 
-def _window_of(raster: Any, made: MapPixels, places: FloatArray) -> Any:
+def _window_of(raster: Any, spec: MapPixels, positions: FloatArray) -> Any:
     """Return the window of an image that positions need; None where they need none."""
     from rasterio.windows import Window
 
     lines, samples = raster.shape
-    low, high = extent(places, lines, samples)
+    low, high = extent(positions, lines, samples)
     if not (low <= high).all():
         return None
-    around = np.ceil(reach(made.resampling, places)).astype(int)
+    around = np.ceil(reach(spec.resampling, positions)).astype(int)
     first = np.maximum(np.floor(low).astype(int) - around, 0)
     last = np.minimum(np.ceil(high).astype(int) + around + 1, [lines, samples])
     return Window(int(first[1]), int(first[0]), int(last[1] - first[1]), int(last[0] - first[0]))
 
 
-def _read(raster: Any, made: MapPixels, window: Any) -> tuple[Values, Mask]:
+def _read(raster: Any, spec: MapPixels, window: Any) -> tuple[Values, Mask]:
     """Return pixels (bands, lines, samples) of a window, alpha last, and which of them are data."""
-    bands = list(range(1, len(made.empty) + made.alpha + 1))
-    values = np.ascontiguousarray(raster.read(bands, window=window).astype(made.dtype, copy=False))
-    known = np.ones(values.shape, dtype=bool)
-    for band, empty in enumerate(made.empty):
-        if made.dtype.kind in "fc":
-            known[band] = ~np.isnan(values[band])
+    bands = list(range(1, len(spec.empty) + spec.alpha + 1))
+    values = np.ascontiguousarray(raster.read(bands, window=window).astype(spec.dtype, copy=False))
+    has_data = np.ones(values.shape, dtype=bool)
+    for band, empty in enumerate(spec.empty):
+        # NaN is no data in every image of floating-point numbers, declared or not.
+        if spec.dtype.kind in "fc":
+            has_data[band] = ~np.isnan(values[band])
         if empty is not None and not np.isnan(empty):
-            known[band] &= values[band] != made.dtype.type(empty)
-    if made.picture.masked:
-        known &= raster.read_masks(1, window=window) > 0
-    if made.alpha:
-        known[:-1] &= values[-1] > 0
-    return values, known
+            has_data[band] &= values[band] != spec.dtype.type(empty)
+    if spec.picture.masked:
+        has_data &= raster.read_masks(1, window=window) > 0
+    if spec.alpha:
+        has_data[:-1] &= values[-1] > 0
+    return values, has_data
 
 
-def _warped(raster: Any, made: MapPixels, shape: tuple[int, int], crs: str, transform: Any,
+def _warped(raster: Any, spec: MapPixels, shape: tuple[int, int], crs: str, transform: Any,
             options: Mapping[str, Any]) -> tuple[Values, Mask]:
     """Return a tile of the map, alpha last, and where it shows the image."""
     import rasterio
     from rasterio.enums import Resampling
     from rasterio.warp import reproject
 
-    colours = len(made.empty)
-    tile = np.zeros((colours + 1, *shape), dtype=made.dtype)
+    colours = len(spec.empty)
+    tile = np.zeros((colours + 1, *shape), dtype=spec.dtype)
     # As gdalwarp has it: what is no data in some bands counts in the others. Only where RPCs are
     # named does rasterio let GDAL compute every pixel's place rather than interpolate along lines,
     # which does not hold in relief.
-    given = {"dst_crs": crs, "dst_transform": transform, "dst_alpha": colours + 1,
-             "src_alpha": colours + 1 if made.alpha else 0, "rpcs": raster.rpcs,
-             "resampling": Resampling[made.resampling], "UNIFIED_SRC_NODATA": "PARTIAL", **options}
-    if len(set(map(str, made.empty))) == 1:
-        empty = made.empty[0]
-        if empty is None and made.dtype.kind in "fc":
+    warp_options = {"dst_crs": crs, "dst_transform": transform, "dst_alpha": colours + 1,
+             "src_alpha": colours + 1 if spec.alpha else 0, "rpcs": raster.rpcs,
+             "resampling": Resampling[spec.resampling], "UNIFIED_SRC_NODATA": "PARTIAL", **options}
+    if len(set(map(str, spec.empty))) == 1:
+        empty = spec.empty[0]
+        if empty is None and spec.dtype.kind in "fc":
             empty = float("nan")
         reproject(rasterio.band(raster, list(range(1, colours + 1))), tile, src_nodata=empty,
-                  **given)
-        shown = tile[-1] != 0
+                  **warp_options)
+        visible = tile[-1] != 0
     else:
-        shown = np.zeros(shape, dtype=bool)
-        for number, empty in enumerate(made.empty, 1):
+        visible = np.zeros(shape, dtype=bool)
+        for number, empty in enumerate(spec.empty, 1):
             tile[-1] = 0
-            reproject(rasterio.band(raster, [number]), tile, src_nodata=empty, **given)
-            shown |= tile[-1] != 0
-    return (tile if made.alpha else tile[:-1]), shown
+            reproject(rasterio.band(raster, [number]), tile, src_nodata=empty, **warp_options)
+            visible |= tile[-1] != 0
+    return (tile if spec.alpha else tile[:-1]), visible
 
 
-def _kept_apart(tile: Values, shown: Mask, made: MapPixels) -> int:
+def _kept_apart(tile: Values, visible: Mask, spec: MapPixels) -> int:
     """Move values that are shown away from that of what is not, by the least step.
 
     Of categories, which cannot be moved, the number that is lost is returned.
     """
-    if made.nodata is None or np.isnan(made.nodata):
+    if spec.nodata is None or np.isnan(spec.nodata):
         return 0
-    same = shown & (tile == made.nodata)
-    if made.empty[0] is not None:
+    like_nodata = visible & (tile == spec.nodata)
+    if spec.empty[0] is not None:
         # In the image, a pixel that has data may have none in some of its bands.
-        same &= same.all(axis=0)
-    if made.category:
-        return int(same.any(axis=0).sum())
-    if same.any():
-        value = tile.dtype.type(made.nodata)
+        like_nodata &= like_nodata.all(axis=0)
+    if spec.category:
+        return int(like_nodata.any(axis=0).sum())
+    if like_nodata.any():
+        value = tile.dtype.type(spec.nodata)
         if tile.dtype.kind in "iu":
-            tile[same] = value - 1 if value == np.iinfo(tile.dtype).max else value + 1
+            tile[like_nodata] = value - 1 if value == np.iinfo(tile.dtype).max else value + 1
         else:
-            tile[same] = np.nextafter(value.real, value.real + 1)
+            tile[like_nodata] = np.nextafter(value.real, value.real + 1)
     return 0
 
 
-def _profile(grid: MapGrid, made: MapPixels) -> dict[str, Any]:
+def _profile(grid: MapGrid, spec: MapPixels) -> dict[str, Any]:
     """Return what rasterio needs to know of the map."""
-    return {"height": grid.lines, "width": grid.samples, "count": len(made.order),
-            "dtype": made.dtype.name, "crs": grid.crs, "transform": grid.transform,
-            "nodata": made.nodata, **({"alpha": "YES"} if made.alpha else {}),
-            **({"nbits": made.bits} if made.bits else {})}
+    return {"height": grid.lines, "width": grid.samples, "count": len(spec.order),
+            "dtype": spec.dtype.name, "crs": grid.crs, "transform": grid.transform,
+            "nodata": spec.nodata, **({"alpha": "YES"} if spec.alpha else {}),
+            **({"nbits": spec.bits} if spec.bits else {})}
 
 
-def _describe(tiled: Any, made: MapPixels, tags: Mapping[str, str]) -> None:
+def _describe(tiled: Any, spec: MapPixels, tags: Mapping[str, str]) -> None:
     """Set the colours of the map, and what it says of its bands."""
     from rasterio.enums import ColorInterp
 
-    bands = made.bands
+    bands = spec.bands
     colours = [ColorInterp[band.colour] for band in bands]
     tables = [number for number, band in enumerate(bands, 1) if band.table]
-    if made.table and made.picture.bands[0].type in _WITH_TABLE and tables[0] == 1:
-        table = dict(enumerate(made.table))
-        if made.nodata is not None:
-            table.setdefault(int(made.nodata), _WHITE)
+    if spec.table and spec.picture.bands[0].type in _WITH_TABLE and tables[0] == 1:
+        table = dict(enumerate(spec.table))
+        if spec.nodata is not None:
+            table.setdefault(int(spec.nodata), _WHITE)
         tiled.write_colormap(1, table)
     elif tables:
         log.warning("Warning: a GeoTIFF can have a colour table for one band of 8 or 16 bits "

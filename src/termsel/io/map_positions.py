@@ -82,17 +82,19 @@ class MapPositions:
             From samples and lines, counted from the outer corner of its first pixel, to x and y.
         """
         heights = self._heights(shape, transform)
-        known = np.isfinite(heights)
-        if not known.any():
+        has_height = np.isfinite(heights)
+        if not has_height.any():
             return np.full((*shape, 2), np.nan)
-        levels = self._levels(float(heights[known].min()), float(heights[known].max()))
-        tried = self._tried(known)
-        places = self._ground(tried.astype(np.float64) + 0.5, transform)
-        exact = self._positions(np.column_stack([places, heights[tuple(tried.T)]]))
+        levels = self._levels(float(heights[has_height].min()), float(heights[has_height].max()))
+        sampled = self._tried(has_height)
+        plan = self._ground(sampled.astype(np.float64) + 0.5, transform)
+        exact = self._positions(np.column_stack([plan, heights[tuple(sampled.T)]]))
+        # The step is halved until the largest error at the sampled pixels is below CLOSE; it begins
+        # with the one that the last tile needed, as neighbours are alike.
         step = self._step
         while True:
             positions = self._interpolated(shape, transform, heights, levels, step)
-            error = _largest_error(positions[tuple(tried.T)], exact)
+            error = _largest_error(positions[tuple(sampled.T)], exact)
             if error <= CLOSE or step <= FINEST:
                 break
             step //= 2
@@ -101,13 +103,15 @@ class MapPositions:
             return self._each(shape, transform, heights)
         return positions
 
-    def _tried(self, known: NDArray[np.bool_]) -> NDArray[np.intp]:
+    def _tried(self, has_height: NDArray[np.bool_]) -> NDArray[np.intp]:
         """Return lines and samples (m, 2) of some pixels of a tile whose height is known."""
-        places = np.argwhere(known) if known.mean() < 0.5 else None
-        if places is not None:
-            return np.asarray(places[self._rng.integers(0, len(places), TRIED)])
-        pixels = np.stack([self._rng.integers(0, size, 4 * TRIED) for size in known.shape], axis=1)
-        return np.asarray(pixels[known[tuple(pixels.T)]][:TRIED])
+        with_height = np.argwhere(has_height) if has_height.mean() < 0.5 else None
+        if with_height is not None:
+            return np.asarray(with_height[self._rng.integers(0, len(with_height), TRIED)])
+        # Most pixels have heights: four times as many are drawn as are needed.
+        pixels = np.stack([self._rng.integers(0, size, 4 * TRIED)
+                           for size in has_height.shape], axis=1)
+        return np.asarray(pixels[has_height[tuple(pixels.T)]][:TRIED])
 
     def _interpolated(self, shape: tuple[int, int], transform: Any, heights: FloatArray,
                       levels: FloatArray, step: int) -> FloatArray:
@@ -116,31 +120,33 @@ class MapPositions:
         plan = self._ground(nodes, transform)
         at_levels = np.stack([self._positions(np.column_stack([plan, np.full(len(plan), level)]))
                               for level in levels])
-        found = np.empty((*shape, 2))
-        _between(at_levels.reshape(len(levels), *size, 2), levels, heights, step, found)
-        return found
+        positions = np.empty((*shape, 2))
+        _between(at_levels.reshape(len(levels), *size, 2), levels, heights, step, positions)
+        return positions
 
     def _each(self, shape: tuple[int, int], transform: Any, heights: FloatArray) -> FloatArray:
         """Return the model's own positions of all pixels: it is not smooth enough there."""
         lines, samples = np.indices(shape)
         pixels: FloatArray = np.column_stack([lines.ravel(), samples.ravel()]) + np.float64(0.5)
-        found = np.empty((len(pixels), 2))
+        positions = np.empty((len(pixels), 2))
         flat = heights.ravel()
         for start in range(0, len(pixels), AT_ONCE):
-            some = slice(start, start + AT_ONCE)
-            places = self._ground(pixels[some], transform)
-            found[some] = self._positions(np.column_stack([places, flat[some]]))
-        return found.reshape(*shape, 2)
+            batch = slice(start, start + AT_ONCE)
+            plan = self._ground(pixels[batch], transform)
+            positions[batch] = self._positions(np.column_stack([plan, flat[batch]]))
+        return positions.reshape(*shape, 2)
 
     def _positions(self, ground: FloatArray) -> FloatArray:
         """Return line and sample (n, 2) of places on the ground; NaN where a map shows none."""
-        found = np.full((len(ground), 2), np.nan)
-        asked = np.isfinite(ground).all(axis=1) & self._is_near(ground[:, :2])
-        asked[asked] = self.fitted.holds(ground[asked])
-        if asked.any():
+        positions = np.full((len(ground), 2), np.nan)
+        # Places behind a pole of the model, or far outside the image, would be given positions that
+        # are nonsense.
+        needed = np.isfinite(ground).all(axis=1) & self._is_near(ground[:, :2])
+        needed[needed] = self.fitted.holds(ground[needed])
+        if needed.any():
             with np.errstate(all="ignore"):
-                found[asked] = self.fitted.project(ground[asked])
-        return found
+                positions[needed] = self.fitted.project(ground[needed])
+        return positions
 
     def _is_near(self, plan: FloatArray) -> NDArray[np.bool_]:
         """Return whether places are about where the image is: beyond, polynomials turn back."""
@@ -152,10 +158,10 @@ class MapPositions:
         """Normals (k, 2) and offsets (k,) of a convex polygon around the image on the ground."""
         from scipy.spatial import ConvexHull  # takes long to import
 
-        places = self.footprint[np.isfinite(self.footprint[:, :2]).all(axis=1), :2]
-        equations = ConvexHull(places).equations
-        beyond = _BEYOND * float(np.ptp(places, axis=0).max())
-        return equations[:, :2], beyond - equations[:, 2]
+        corners = self.footprint[np.isfinite(self.footprint[:, :2]).all(axis=1), :2]
+        equations = ConvexHull(corners).equations
+        margin = _BEYOND * float(np.ptp(corners, axis=0).max())
+        return equations[:, :2], margin - equations[:, 2]
 
     def _levels(self, low: float, high: float) -> FloatArray:
         """Return the heights at which the model is asked."""
@@ -187,20 +193,22 @@ class MapPositions:
             x = nearest(np.asarray(x), middle)
         to_pixel = ~surface.raster.transform
         sample, line = to_pixel @ (np.asarray(x), np.asarray(y))
-        places = np.stack([line, sample], axis=1) - 0.5
-        part = _part_of(surface, places)
-        if part is None:
+        raster_positions = np.stack([line, sample], axis=1) - 0.5
+        window = _part_of(surface, raster_positions)
+        if window is None:
             return self._looked_up(shape, transform)
-        pixels, first = part
+        pixels, first = window
         # What the datum adds is smooth, unlike the ground.
-        nothing = np.zeros(len(x))
-        added = surface.converted(x, y, nothing)
-        slope = float(np.nanmedian(surface.converted(x, y, nothing + 1000.0) - added)) / 1000.0
-        found = np.empty(shape)
-        _heights_between(pixels, np.column_stack([places - first, added]).reshape(*size, 3),
-                         COARSEST, np.array(surface.raster.shape, dtype=np.float64) - first, first,
-                         slope, found)
-        return found
+        zeros = np.zeros(len(x))
+        added = surface.converted(x, y, zeros)
+        # Slope and offset of the height above the ellipsoid by the height that the raster stores,
+        # which are straight lines of each other for each unit and vertical datum.
+        slope = float(np.nanmedian(surface.converted(x, y, zeros + 1000.0) - added)) / 1000.0
+        heights = np.empty(shape)
+        at_nodes = np.column_stack([raster_positions - first, added]).reshape(*size, 3)
+        end = np.array(surface.raster.shape, dtype=np.float64) - first
+        _heights_between(pixels, at_nodes, COARSEST, end, first, slope, heights)
+        return heights
 
     def _looked_up(self, shape: tuple[int, int], transform: Any) -> FloatArray:
         """Return the heights of the ground at pixels, each by itself."""
@@ -222,16 +230,16 @@ def _nodes(shape: tuple[int, int], step: int) -> tuple[FloatArray, tuple[int, in
         (size[0], size[1])
 
 
-def _part_of(surface: Dem, places: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+def _part_of(surface: Dem, positions: FloatArray) -> tuple[FloatArray, FloatArray] | None:
     """Return the pixels of a raster around places, and the first one; None for too many."""
     from rasterio.windows import Window
 
-    known = places[np.isfinite(places).all(axis=1)]
+    finite = positions[np.isfinite(positions).all(axis=1)]
     size = np.array(surface.raster.shape)
-    if not len(known):
+    if not len(finite):
         return np.full((1, 1), np.nan), np.zeros(2)
-    first = np.clip(np.floor(known.min(axis=0)).astype(int) - 1, 0, size - 1)
-    last = np.clip(np.ceil(known.max(axis=0)).astype(int) + 2, 1, size)
+    first = np.clip(np.floor(finite.min(axis=0)).astype(int) - 1, 0, size - 1)
+    last = np.clip(np.ceil(finite.max(axis=0)).astype(int) + 2, 1, size)
     lines, samples = np.maximum(last - first, 1)
     if lines * samples > LARGEST_DEM:
         return None
@@ -241,34 +249,37 @@ def _part_of(surface: Dem, places: FloatArray) -> tuple[FloatArray, FloatArray] 
 
 def _largest_error(positions: FloatArray, exact: FloatArray) -> float:
     """Return how far positions are from exact ones; infinite where only one of them is known."""
-    known = np.isfinite(exact).all(axis=1)
+    exact_known = np.isfinite(exact).all(axis=1)
     missing = ~np.isfinite(positions).all(axis=1)
-    if (missing & known).any():
+    if (missing & exact_known).any():
         return np.inf
-    both = known & ~missing
-    return float(np.linalg.norm((positions - exact)[both], axis=1).max(initial=0.0))
+    comparable = exact_known & ~missing
+    return float(np.linalg.norm((positions - exact)[comparable], axis=1).max(initial=0.0))
 
 
-def _positions_between(nodes: Any, levels: Any, heights: Any, step: int, found: Any) -> None:
-    """Fill positions `found` (lines, samples, 2) from those of `nodes` (levels, rows, columns, 2).
+def _positions_between(nodes: Any, levels: Any, heights: Any, step: int, positions: Any) -> None:
+    """Fill `positions` (lines, samples, 2) from those of `nodes` (levels, rows, columns, 2).
 
     Bilinear in the plane; by Lagrange's polynomial between heights.
     """
     count = len(levels)
     of_level = np.empty(count)
-    for i in range(found.shape[0]):
+    for i in range(positions.shape[0]):
         row = min(i // step, nodes.shape[1] - 2)
         down = i / step - row
-        for j in range(found.shape[1]):
+        for j in range(positions.shape[1]):
             column = min(j // step, nodes.shape[2] - 2)
+            # Height as a polynomial through the levels: L_k(h) = product over m of (h - h_m) / (h_k
+            # - h_m).
             right = j / step - column
             height = heights[i, j]
             for k in range(count):
                 weight = 1.0
-                for other in range(count):
-                    if other != k:
-                        weight *= (height - levels[other]) / (levels[k] - levels[other])
+                for m in range(count):
+                    if m != k:
+                        weight *= (height - levels[m]) / (levels[k] - levels[m])
                 of_level[k] = weight
+            # Bilinear between the four nodes around the pixel, in every level.
             line = 0.0
             sample = 0.0
             for k in range(count):
@@ -285,28 +296,29 @@ def _positions_between(nodes: Any, levels: Any, heights: Any, step: int, found: 
                            + d * nodes[k, row + 1, column + 1, 1])
             if np.isnan(height):
                 line = np.nan
-            found[i, j, 0] = line
-            found[i, j, 1] = sample
+            positions[i, j, 0] = line
+            positions[i, j, 1] = sample
 
 
 _between = compiled(_positions_between)
 
 
 def _bilinear_heights(pixels: Any, nodes: Any, step: int, size: Any, first: Any, slope: float,
-                      found: Any) -> None:
-    """Fill heights `found` (lines, samples) from the pixels of a raster.
+                      heights: Any) -> None:
+    """Fill `heights` (lines, samples) from the pixels of a raster.
 
     Nodes (rows, columns, 3) have line and sample in `pixels`, and what the datum adds. The raster
     goes from `-first` to `size`; in the outer half of its outermost pixels heights are constant.
     """
     rows = pixels.shape[0]
     columns = pixels.shape[1]
-    for i in range(found.shape[0]):
+    for i in range(heights.shape[0]):
         row = min(i // step, nodes.shape[0] - 2)
         down = i / step - row
-        for j in range(found.shape[1]):
+        for j in range(heights.shape[1]):
             column = min(j // step, nodes.shape[1] - 2)
             right = j / step - column
+            # Weights of the four nodes around the pixel.
             a = (1.0 - down) * (1.0 - right)
             b = (1.0 - down) * right
             c = down * (1.0 - right)
@@ -317,10 +329,12 @@ def _bilinear_heights(pixels: Any, nodes: Any, step: int, size: Any, first: Any,
                       + c * nodes[row + 1, column, 1] + d * nodes[row + 1, column + 1, 1])
             added = (a * nodes[row, column, 2] + b * nodes[row, column + 1, 2]
                      + c * nodes[row + 1, column, 2] + d * nodes[row + 1, column + 1, 2])
-            found[i, j] = np.nan
+            # Outside the raster there is no height.
+            heights[i, j] = np.nan
             if not (-0.5 - first[0] <= line <= size[0] - 0.5
                     and -0.5 - first[1] <= sample <= size[1] - 0.5):
                 continue
+            # Bilinear between the four pixels of the raster around the position.
             line = min(max(line, 0.0), rows - 1.0)
             sample = min(max(sample, 0.0), columns - 1.0)
             r = min(int(line), max(rows - 2, 0))
@@ -333,7 +347,7 @@ def _bilinear_heights(pixels: Any, nodes: Any, step: int, size: Any, first: Any,
                     weight = (below if k else 1.0 - below) * (aside if m else 1.0 - aside)
                     if weight > 0.0:  # those without any weight may be no data
                         height += weight * pixels[r + k, s + m]
-            found[i, j] = height * slope + added
+            heights[i, j] = height * slope + added
 
 
 _heights_between = compiled(_bilinear_heights)

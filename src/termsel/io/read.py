@@ -143,6 +143,8 @@ def read(
     >>> features.ids
     ('A', 'B')
     """
+    # Options of packages, such as the camera of termsel-photos, are taken apart from those of the
+    # readers.
     given_options = {key: value for key, value in options.items() if value is not None}
     of_packages = {option.name: given_options.pop(option.name) for option in read_options()
                    if option.name in given_options} if given_options else {}
@@ -158,10 +160,10 @@ def read(
     size = None if image is None else image_size_of(image)
     if rpc is None and image is not None and has_rpc(image):
         rpc = image
-    part = part_of(rpc_offset, rpc_scale)
-    seen = size_with_rpc(rpc) if size is None and part is None else size
-    origin = partial(with_image_origin, asked=image_origin, size=seen)
-    if part is not None and rpc is None:
+    image_part = part_of(rpc_offset, rpc_scale)
+    size_for_origin = size_with_rpc(rpc) if size is None and image_part is None else size
+    origin = partial(with_image_origin, choice=image_origin, size=size_for_origin)
+    if image_part is not None and rpc is None:
         raise TermselError("rpc_offset and rpc_scale are of an RPC, and none is given",
                            hint="Give it with --rpc FILE, or leave them out.")
     if points is not None and not isinstance(points, str | Path):
@@ -171,7 +173,8 @@ def read(
                                     "FeatureSet.with_.")
         with averaging(repeated):
             features = _of_image(_read_frame(points, crs, of_readers, origin), image, size)
-            return _with_packages(_with_known(features, dem, rpc, z_unit, part), of_packages, image)
+            features = _with_known(features, dem, rpc, z_unit, image_part)
+            return _with_packages(features, of_packages, image)
     with ExitStack() as stack:
         stack.enter_context(averaging(repeated))
         image_lines = of_readers.get("image_lines")
@@ -185,25 +188,28 @@ def read(
             readers=readers_of([path for path in paths if path is not None], formats),
             formats=formats, options=of_readers, origin=origin)
         features = _of_image(features, image, size)
-    given = [path for path in (points, lines, areas) if path is not None]
+    files = [path for path in (points, lines, areas) if path is not None]
     try:
-        return _with_packages(_with_known(features, dem, rpc, z_unit, part), of_packages, image)
+        features = _with_known(features, dem, rpc, z_unit, image_part)
+        return _with_packages(features, of_packages, image)
     except TermselError as error:
-        raise (located(error, Path(given[0])) if error.file is None else error) from error
+        raise (located(error, Path(files[0])) if error.file is None else error) from error
 
 
 def read_options() -> tuple[Option, ...]:
     """Return the options of reading, those of installed packages among them."""
-    of_packages = [option for package in parts(OF_PACKAGES) for option in package.options]
+    of_packages: list[Option] = []
+    for package in parts(OF_PACKAGES):
+        of_packages += package.options
     return (*READ_OPTIONS, *of_packages)
 
 
-def _with_packages(features: FeatureSet, given: Mapping[str, Any],
+def _with_packages(features: FeatureSet, values: Mapping[str, Any],
                    image: Path | str | None) -> FeatureSet:
     """Return features with what options of packages, or the image, tell of them."""
-    if given or image is not None:
+    if values or image is not None:
         for package in parts(OF_PACKAGES):
-            features = package.read(features, given, image)
+            features = package.read(features, values, image)
     return features
 
 
@@ -213,25 +219,25 @@ def parts_of(path: Path, format: str | None = None, **options: Any) -> dict[str,
     return find_reader(path, readers, format, options).parts(path)
 
 
-def features_of(given: Any, crs: str | None = None,
+def features_of(source: Any, crs: str | None = None,
                 columns: str | Mapping[str, Any] | None = None) -> FeatureSet:
     """Return features, points or lines or both, from a FeatureSet, a file or a table, as `read`."""
-    if isinstance(given, FeatureSet):
+    if isinstance(source, FeatureSet):
         if crs is not None or columns is not None:
-            raise TermselError(f"the features have the CRS {given.crs} already",
+            raise TermselError(f"the features have the CRS {source.crs} already",
                                hint="Give crs and columns with a file or a table alone.")
-        return given
-    if not isinstance(given, str | Path):
-        return read(given, crs=crs, columns=columns)
-    with read_once(Path(given)) as path:
+        return source
+    if not isinstance(source, str | Path):
+        return read(source, crs=crs, columns=columns)
+    with read_once(Path(source)) as path:
         features = read_features(
             path, path, crs=crs, either=True,
             options={"columns": columns_text(columns)} if columns else {},
-            readers=readers_of([path], ()), origin=partial(with_image_origin, asked=None))
+            readers=readers_of([path], ()), origin=partial(with_image_origin, choice=None))
     try:
         return with_z_unit(features, None)
     except TermselError as error:
-        raise located(error, Path(given)) from error
+        raise located(error, Path(source)) from error
 
 
 def _of_image(features: FeatureSet, image: Path | str | None, size: tuple[int, int] | None,
@@ -244,10 +250,10 @@ def _of_image(features: FeatureSet, image: Path | str | None, size: tuple[int, i
 
 
 def _with_known(features: FeatureSet, dem: Path | str | None, rpc: Rpc | Path | str | None,
-                z_unit: str | None, part: ImagePart | None) -> FeatureSet:
+                z_unit: str | None, image_part: ImagePart | None) -> FeatureSet:
     """Return features with an RPC, with the unit of z, and with the heights of a DEM."""
     if rpc is not None:
-        features = with_rpc(features, rpc, part)
+        features = with_rpc(features, rpc, image_part)
     path = None if dem is None else Path(dem)
     features = with_z_unit(features, z_unit, path)
     return features if path is None else with_heights(features, path)
@@ -255,12 +261,22 @@ def _with_known(features: FeatureSet, dem: Path | str | None, rpc: Rpc | Path | 
 
 def readers_of(paths: Sequence[Path], formats: Sequence[str]) -> list[type[Reader]]:
     """Return the readers to ask about files: those of plugins only where they are needed."""
-    own: list[type[Reader]] = [entry.object for entry in built_in().entries("readers")]
-    enough = {reader.name for reader in own}.issuperset(formats) and all(
-        is_there(path) and path.is_file() and any(
-            reader().sniff(path, read_head(path, _EXPECTED)) for reader in own)
-        for path in dict.fromkeys(paths))
-    return own if enough else [entry.object for entry in registry().entries("readers")]
+    built_in_readers: list[type[Reader]] = [
+        entry.object for entry in built_in().entries("readers")]
+    names = {reader.name for reader in built_in_readers}
+    # Looking for plugins takes longer than reading a table: most files need none.
+    if names.issuperset(formats) and all(
+            _is_recognised(path, built_in_readers) for path in dict.fromkeys(paths)):
+        return built_in_readers
+    return [entry.object for entry in registry().entries("readers")]
+
+
+def _is_recognised(path: Path, readers: Iterable[type[Reader]]) -> bool:
+    """Return whether a file is there and one of the readers recognises it."""
+    if not is_there(path) or not path.is_file():
+        return False
+    head = read_head(path, _EXPECTED)
+    return any(reader().sniff(path, head) for reader in readers)
 
 
 def _read_frame(frame: Any, crs: str | None, options: Mapping[str, Any],
@@ -272,11 +288,11 @@ def _read_frame(frame: Any, crs: str | None, options: Mapping[str, Any],
     features = read_frame(frame, **options)
     if origin is not None:
         features = origin(features, states_own=False)
-    place = Path("the table")
+    table_path = Path("the table")
     measured = replace(features, crs=_agreed_crs(
-        {place: features}, stated_crs(crs)))
-    _require_crs(measured, [place], "columns" not in options)
-    _say_misspelt(place, measured)
+        {table_path: features}, stated_crs(crs)))
+    _require_crs(measured, [table_path], "columns" not in options)
+    _say_misspelt(table_path, measured)
     check_ground(measured)
     _say_doubts(measured)
     return measured
@@ -290,41 +306,44 @@ def find_reader(path: Path, readers: Iterable[type[Reader]], format: str | None 
     it declares. Raises TermselError if there is no such reader, an option does not accept its
     value, the file is missing, empty, a folder or not readable, or no reader recognises it.
     """
-    known = [_with_options(reader, options or {}) for reader in readers]
-    chosen = [reader for reader in known if reader.name == format]
-    if format is not None and not chosen:
-        raise unknown_name("file format", format, [reader.name for reader in known])
+    usable = [_with_options(reader, options or {}) for reader in readers]
+    named = [reader for reader in usable if reader.name == format]
+    if format is not None and not named:
+        raise unknown_name("file format", format, [reader.name for reader in usable])
     if is_there(path) and path.is_dir():
-        asked = [reader for reader in chosen or known if reader.folders]
-        of_folder = _recognising(path, b"", asked)
+        for_folders = [reader for reader in named or usable if reader.folders]
+        of_folder = _recognising(path, b"", for_folders)
         if of_folder is not None:
             return of_folder
+            return of_folder
     head = read_head(path, _EXPECTED)
-    if chosen:
-        return chosen[0]
-    found = _recognising(path, head, known)
-    if found is not None:
-        return found
+    if named:
+        return named[0]
+    recognising = _recognising(path, head, usable)
+    if recognising is not None:
+        return recognising
     if any(name in head for name in (b"LINE_NUM_COEFF", b"lineNumCoef", b"Global_RFM")):
         raise TermselError("this file contains an RPC and no control features", file=path,
                            hint="Give control with --points and the RPC with --rpc; auto then "
                                 "corrects it. " + registry().missing("rpc-gcps"))
     if is_utf16(head) and _recognising(
-            path, head.decode("utf-16", errors="ignore").encode(), known) is not None:
+            path, head.decode("utf-16", errors="ignore").encode(), usable) is not None:
         raise utf16_error(path)
     error = unknown_table(path, _EXPECTED, str((options or {}).get("columns", "")))
     if error is not None:
         raise error
     binary = b"\0" in head
     rasters = registry().missing("gdal-gcps") if binary or b"<VRTDataset" in head else ""
-    raise TermselError(f"this {'binary ' * binary}file is in no format that termsel knows",
+    raise TermselError(f"this {'binary file' if binary else 'file'} is in no format that termsel "
+                       "knows",
                        file=path, hint=f"{_EXPECTED} If it is a raster with control points, "
                        f"gdal-gcps reads it. {rasters}" if rasters else _EXPECTED)
 
 
 def _recognising(path: Path, head: bytes, readers: Sequence[Reader]) -> Reader | None:
     """Return the reader that recognises a file; built-in ones come first, in their order."""
-    own = next((one for one in readers if is_own(type(one)) and one.sniff(path, head)), None)
+    built_in_reader = next((reader for reader in readers
+                            if is_own(type(reader)) and reader.sniff(path, head)), None)
     claims = []
     # Every reader of a plugin is asked: one that fails, or recognises noise as well, takes no file
     # of another.
@@ -337,11 +356,11 @@ def _recognising(path: Path, head: bytes, readers: Sequence[Reader]) -> Reader |
         except PluginFault as fault:
             log.warning("Warning: %s", fault)
     claims = [reader for reader in claims if not reader.general] or claims
-    if own is not None or len(claims) < 2:
-        for reader in claims if own is not None else ():
+    if built_in_reader is not None or len(claims) < 2:
+        for reader in claims if built_in_reader is not None else ():
             log.warning("Note: %s recognises %s too; --format %s reads it so.", name_of(reader),
                         path.name, reader.name)
-        return own or next(iter(claims), None)
+        return built_in_reader or next(iter(claims), None)
     choosy = [reader for reader in claims if not _greedy(reader, path)]
     if len(choosy) == 1:
         return choosy[0]
@@ -362,8 +381,8 @@ def _greedy(reader: Reader, path: Path) -> bool:
     return True
 
 
-def _with_options(reader: type[Reader], given: Mapping[str, Any]) -> Reader:
-    return reader(**{o.name: given[o.name] for o in reader.declared_options if o.name in given})
+def _with_options(reader: type[Reader], values: Mapping[str, Any]) -> Reader:
+    return reader(**{o.name: values[o.name] for o in reader.declared_options if o.name in values})
 
 
 def read_features(points: Path | None, lines: Path | None, *, areas: Path | None = None,
@@ -381,39 +400,56 @@ def read_features(points: Path | None, lines: Path | None, *, areas: Path | None
     is not known or stated twice and differently; if coordinates cannot be in it; if features of two
     kinds have one id.
     """
+    try:
+        return _features_of_files(points, lines, areas=areas, crs=crs, readers=list(readers),
+                                  formats=formats, options=options or {}, either=either,
+                                  origin=origin)
+    except TermselError as error:
+        columns = error.options.get("--columns", "?")
+        # A message proposes all that is still missing. Where the same columns were given already,
+        # or some are not known, nothing else would be asked next.
+        if crs is None and "?" not in columns and columns != (options or {}).get("columns"):
+            next_options = _asked_next(points, lines, areas=areas, readers=list(readers),
+                                       formats=formats, either=either, origin=origin,
+                                       options={**(options or {}), "columns": columns})
+            error.options = {**next_options, **error.options}
+        raise
+
+
+def _asked_next(points: Path | None, lines: Path | None, **arguments: Any) -> dict[str, str]:
+    """Return the options that would be asked for next, given those of `_features_of_files`."""
+    try:
+        _features_of_files(points, lines, crs=None, **arguments)
+    except TermselError as error:
+        return error.options
+    return {}
+
+
+def _features_of_files(points: Path | None, lines: Path | None, *, areas: Path | None,
+                       crs: str | None, readers: Sequence[type[Reader]], formats: Sequence[str],
+                       options: Mapping[str, Any], either: bool,
+                       origin: Origin | None) -> FeatureSet:
+    """Return the features of all files in one CRS; the arguments are those of `read_features`."""
     if points is None and lines is None and areas is None:
         raise TermselError("no file of features is given",
                            hint="Give --points FILE, --lines FILE or --areas FILE.")
-    known = list(readers)
     stated = stated_crs(crs)
     paths = list(dict.fromkeys(path for path in (points, lines, areas) if path is not None))
     if len(formats) > len(paths):
         raise TermselError(f"there are {len(formats)} --format for "
                            f"{counted(len(paths), 'file')}",
                            hint="Give --format once per file, that of the points first.")
-    try:
-        chosen = {path: find_reader(path, known, name, options)
-                  for path, name in zip_longest(paths, formats)}
-        _refuse_idle(options or {}, chosen)
-        sets = {path: reader.read(path) for path, reader in chosen.items()}
-        if origin is not None:
-            sets = {path: _from_origin(path, features, chosen[path], origin)
-                    for path, features in sets.items()}
-    except TermselError as error:
-        columns = error.options.get("--columns", "?")
-        # Where the same columns are asked for once more, nothing else would be asked next.
-        if crs is None and "?" not in columns and columns != (options or {}).get("columns"):
-            try:  # what would be asked next
-                read_features(points, lines, areas=areas, crs=crs, readers=known, formats=formats,
-                              options={**(options or {}), "columns": columns}, either=either,
-                              origin=origin)
-            except TermselError as later:
-                error.options = {**later.options, **error.options}
-        raise
+    reader_of = {path: find_reader(path, readers, name, options)
+                 for path, name in zip_longest(paths, formats)}
+    _refuse_idle(options, reader_of)
+    sets = {path: reader.read(path) for path, reader in reader_of.items()}
+    if origin is not None:
+        sets = {path: _from_origin(path, features, reader_of[path], origin)
+                for path, features in sets.items()}
     for path, features in sets.items():
         _say_misspelt(path, features)
-        if chosen[path].areas or path == areas:
-            _check_areas(path, chosen[path], path == areas and path not in (points, lines))
+        if reader_of[path].areas or path == areas:
+            _check_areas(path, reader_of[path], path == areas and path not in (points, lines))
             continue
         counts = {"points": len(features.points), "lines": len(features.lines)}
         if either and any(counts.values()):
@@ -423,17 +459,18 @@ def read_features(points: Path | None, lines: Path | None, *, areas: Path | None
         no_points() if points is None else sets[points].points,
         no_lines() if lines is None else sets[lines].lines,
         _agreed_crs(sets, stated),
-        next((one.image_size for one in sets.values() if one.image_size), None),
-        image_origin=next((one.image_origin for one in sets.values() if one.image_origin), ""))
-    _require_crs(measured, sets, not (options or {}).get("columns") and all(
-        "columns" in reader.options for reader in chosen.values()))
+        next((features.image_size for features in sets.values() if features.image_size), None),
+        image_origin=next((features.image_origin for features in sets.values()
+                           if features.image_origin), ""))
+    _require_crs(measured, sets, not options.get("columns") and all(
+        "columns" in reader.options for reader in reader_of.values()))
     if areas is not None:
         measured = _with_areas(measured, sets[areas], areas)
     try:
         check_ground(measured)
     except TermselError as error:
-        place = next(path for path, one in sets.items() if error.ids[0] in one.ids)
-        raise chosen[place].placed(error, place) from error
+        path = next(path for path, features in sets.items() if error.ids[0] in features.ids)
+        raise reader_of[path].placed(error, path) from error
     _say_doubts(measured)
     return measured
 
@@ -457,30 +494,34 @@ def _say_misspelt(path: Path, features: FeatureSet) -> None:
     """Warn of columns that take no part in the fit and have nearly the name of one that does."""
     points = features.points
     lines = features.lines
-    for part, columns, roles in ((points, POINTS, points.roles), (lines, LINES, ())):
-        there = {"role": any(roles), "enabled": any(roles)}
-        missing = [name for meaning in sorted(OPTIONAL & columns.keys())
-                   if not there.get(meaning, part.sigma is not None) for name in columns[meaning]]
-        for name in part.attributes:
+    for features_of_kind, columns, roles in (
+            (points, POINTS, points.roles), (lines, LINES, ())):
+        # A column that was read cannot be the one that the misspelt name was meant for.
+        was_read = {"role": any(roles), "enabled": any(roles)}
+        missing: list[str] = []
+        for meaning in sorted(OPTIONAL & columns.keys()):
+            if not was_read.get(meaning, features_of_kind.sigma is not None):
+                missing += columns[meaning]
+        for name in features_of_kind.attributes:
             for near in get_close_matches(name.casefold(), missing, n=1, cutoff=_NEAR):
                 log.warning("Warning: column %r of %s is not used. Did you mean %s?",
                             name, path, near)
 
 
-def _check_areas(path: Path, reader: Reader, asked: bool) -> None:
+def _check_areas(path: Path, reader: Reader, asked_for: bool) -> None:
     if not reader.areas:
         raise TermselError(f"the file has no areas: it is read as {reader.name}", file=path,
                            hint="Give points with --points and lines with --lines.")
-    if not asked:
+    if not asked_for:
         raise TermselError("the file has areas", file=path, hint="Give it with --areas alone.")
 
 
 def _with_areas(features: FeatureSet, areas: FeatureSet, path: Path) -> FeatureSet:
     """Return the features together with the areas, as points or lines as they were read."""
-    both = set(features.ids) & set(areas.ids)
-    if both:
-        raise TermselError(f"{min(both)!r} is the id of an area and of a point or line",
-                           file=path, hint="Give every feature a different id.", ids=both)
+    shared_ids = set(features.ids) & set(areas.ids)
+    if shared_ids:
+        raise TermselError(f"{min(shared_ids)!r} is the id of an area and of a point or line",
+                           file=path, hint="Give every feature a different id.", ids=shared_ids)
     try:
         return features.with_(points=features.points.join(areas.points),
                               lines=features.lines.join(areas.lines))
@@ -488,24 +529,25 @@ def _with_areas(features: FeatureSet, areas: FeatureSet, path: Path) -> FeatureS
         raise located(error, path) from error
 
 
-def _refuse_idle(options: Mapping[str, Any], chosen: Mapping[Path, Reader]) -> None:
+def _refuse_idle(options: Mapping[str, Any], reader_of: Mapping[Path, Reader]) -> None:
     for key in options:
-        if not any(key in reader.options for reader in chosen.values()):
-            names = dict.fromkeys(reader.name for reader in chosen.values())
+        if not any(key in reader.options for reader in reader_of.values()):
+            names = dict.fromkeys(reader.name for reader in reader_of.values())
             raise TermselError(
                 f"{' and '.join(names)} {'have' if len(names) > 1 else 'has'} no option {key!r}",
-                file=" and ".join(map(str, chosen)),
+                file=" and ".join(map(str, reader_of)),
                 hint="Remove it, or choose another format with --format.")
 
 
-def _check_kinds(path: Path, counts: dict[str, int], asked: dict[str, bool]) -> None:
-    there = [kind for kind, count in counts.items() if count]
+def _check_kinds(path: Path, counts: dict[str, int], expected: dict[str, bool]) -> None:
+    present = [kind for kind, count in counts.items() if count]
     for kind in counts:
-        if asked[kind] and kind not in there:
+        if expected[kind] and kind not in present:
             raise TermselError(f"the file has no {kind}", file=path, hint=" ".join(
-                f"It has {other}: give it with --{other}." for other in there) or None)
-    for kind in there:
-        if not asked[kind]:
+                f"It has {found_kind}: give it with --{found_kind}."
+                for found_kind in present) or None)
+    for kind in present:
+        if not expected[kind]:
             raise TermselError(f"the file also has {kind}", file=path,
                                hint=f"Give it with --{kind} too, or keep points and lines in "
                                     "separate files.")

@@ -32,25 +32,25 @@ _LEAST = 1e-5  # sum of weights of pixels with data, below which there is nothin
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class ImageWindow:
     """A part of an image: values (bands, lines, samples), and which of them are data.
 
     `line` and `sample` are those of its first pixel.
     """
 
     values: Values
-    known: BoolArray  # (bands, lines, samples)
+    has_data: BoolArray  # (bands, lines, samples)
     line: int
     sample: int
 
 
-def resampled(part: Part, positions: FloatArray, resampling: str, size: tuple[int, int],
+def resampled(window: ImageWindow, positions: FloatArray, resampling: str, size: tuple[int, int],
               empty: Values) -> tuple[Values, BoolArray]:
     """Return pixels of a map at positions in an image, and where they show something.
 
     Parameters
     ----------
-    part : Part
+    window : ImageWindow
         As much of the image as the positions need.
     positions : ndarray, shape (lines, samples, 2)
         Line and sample of the image [px]; NaN where there is none.
@@ -64,25 +64,30 @@ def resampled(part: Part, positions: FloatArray, resampling: str, size: tuple[in
     Returns
     -------
     values : ndarray, shape (bands, lines, samples)
-    shown : ndarray of bool, shape (bands, lines, samples)
+    visible : ndarray of bool, shape (bands, lines, samples)
     """
     kernel = KERNELS[resampling]
-    bands = len(part.values)
-    values = np.empty((bands, *positions.shape[:2]), dtype=part.values.dtype)
-    values[:] = empty.astype(part.values.dtype)[:, None, None]
-    shown = np.zeros(values.shape, dtype=bool)
+    bands = len(window.values)
+    values = np.empty((bands, *positions.shape[:2]), dtype=window.values.dtype)
+    values[:] = empty.astype(window.values.dtype)[:, None, None]
+    visible = np.zeros(values.shape, dtype=bool)
     # Sums of whole numbers are rounded, and kept in the range of their type.
-    whole = part.values.dtype.kind in "iu"
-    low, high = (float(np.iinfo(part.values.dtype).min), float(np.iinfo(part.values.dtype).max)) \
-        if whole else (-np.inf, np.inf)
+    integral = window.values.dtype.kind in "iu"
+    low = -np.inf
+    high = np.inf
+    if integral:
+        low = float(np.iinfo(window.values.dtype).min)
+        high = float(np.iinfo(window.values.dtype).max)
+    # Where pixels of the map are larger than those of the image, kernels are widened by as much.
     stretch = np.maximum(_stretch(positions), 1.0)
     stretch[stretch <= ALIKE] = 1.0
     if kernel == KERNELS["nearest"]:
         stretch[:] = 1.0
-    fill = _fill_complex if part.values.dtype.kind == "c" else _fill
-    fill(part.values, part.known, part.line, part.sample, np.ascontiguousarray(positions), kernel,
-         RADII[kernel], stretch[0], stretch[1], size[0], size[1], whole, low, high, values, shown)
-    return values, shown
+    fill = _fill_complex if window.values.dtype.kind == "c" else _fill
+    fill(window.values, window.has_data, window.line, window.sample,
+         np.ascontiguousarray(positions), kernel, RADII[kernel], stretch[0], stretch[1],
+         size[0], size[1], integral, low, high, values, visible)
+    return values, visible
 
 
 def reach(resampling: str, positions: FloatArray) -> FloatArray:
@@ -121,9 +126,9 @@ def _stretch(positions: FloatArray) -> FloatArray:
     squares = np.zeros(2)
     for axis in (0, 1):
         steps = np.diff(positions[::8, ::8], axis=axis) / 8.0
-        known = np.isfinite(steps).all(axis=-1)
-        if known.any():
-            squares += np.median(steps[known] ** 2, axis=0)
+        finite = np.isfinite(steps).all(axis=-1)
+        if finite.any():
+            squares += np.median(steps[finite] ** 2, axis=0)
     return np.asarray(np.sqrt(squares))
 
 
@@ -133,12 +138,15 @@ def _weight(distance: float, kernel: int, stretch: float) -> float:
         half = 0.5 * stretch
         return max(min(distance + 0.5, half) - max(distance - 0.5, -half), 0.0)
     x = abs(distance) / stretch
+    # Triangle: 1 - |x|.
     if kernel == 1:
         return max(1.0 - x, 0.0)
+    # Keys (1981), equation 15, with a = -1/2.
     if kernel == 2:
         if x < 1.0:
             return (1.5 * x - 2.5) * x * x + 1.0
         return ((-0.5 * x + 2.5) * x - 4.0) * x + 2.0 if x < 2.0 else 0.0
+    # The B-spline of degree 3, which does not go through the pixels.
     if kernel == 3:
         if x < 1.0:
             return (0.5 * x - 1.0) * x * x + 2.0 / 3.0
@@ -147,6 +155,7 @@ def _weight(distance: float, kernel: int, stretch: float) -> float:
         return 0.0
     if x < 1e-9:
         return 1.0
+    # Lanczos: sinc(x) sinc(x / 3).
     turn = np.pi * x
     return float(3.0 * np.sin(turn) * np.sin(turn / 3.0) / (turn * turn))
 
@@ -154,19 +163,20 @@ def _weight(distance: float, kernel: int, stretch: float) -> float:
 _weight = compiled(_weight)
 
 
-def _filled(pixels: Any, known: Any, first_line: int, first_sample: int, positions: Any,
+def _filled(pixels: Any, has_data: Any, first_line: int, first_sample: int, positions: Any,
             kernel: int, radius: float, stretch_line: float, stretch_sample: float, lines: int,
-            samples: int, whole: bool, low: float, high: float, values: Any, shown: Any) -> None:
-    """Fill `values` and `shown` (bands, lines, samples), pixel by pixel of the map."""
+            samples: int, integral: bool, low: float, high: float, values: Any,
+            visible: Any) -> None:
+    """Fill `values` and `visible` (bands, lines, samples), pixel by pixel of the map."""
     bands, rows, columns = pixels.shape
     reach_line = radius * stretch_line
     reach_sample = radius * stretch_sample
     if kernel == 5:  # of pixels that an interval touches
         reach_line = reach_line + 0.5
         reach_sample = reach_sample + 0.5
-    most = int(2.0 * max(reach_line, reach_sample)) + 3
-    of_line = np.empty(most)
-    of_sample = np.empty(most)
+    longest = int(2.0 * max(reach_line, reach_sample)) + 3
+    of_line = np.empty(longest)
+    of_sample = np.empty(longest)
     for i in range(positions.shape[0]):
         for j in range(positions.shape[1]):
             line = positions[i, j, 0]
@@ -180,55 +190,58 @@ def _filled(pixels: Any, known: Any, first_line: int, first_sample: int, positio
             column = min(max(int(np.floor(sample + 0.5)), 0), columns - 1)
             if kernel == 0:
                 for band in range(bands):
-                    if known[band, row, column]:
+                    if has_data[band, row, column]:
                         values[band, i, j] = pixels[band, row, column]
-                        shown[band, i, j] = True
+                        visible[band, i, j] = True
                 continue
+            # Weights are products of one along lines and one along samples: each is computed once.
             top = max(int(np.ceil(line - reach_line)), 0)
             bottom = min(int(np.floor(line + reach_line)), rows - 1)
-            left = max(int(np.ceil(sample - reach_sample)), 0)
-            right = min(int(np.floor(sample + reach_sample)), columns - 1)
+            leftmost = max(int(np.ceil(sample - reach_sample)), 0)
+            rightmost = min(int(np.floor(sample + reach_sample)), columns - 1)
             for r in range(top, bottom + 1):
                 of_line[r - top] = _weight(r - line, kernel, stretch_line)
-            for c in range(left, right + 1):
-                of_sample[c - left] = _weight(c - sample, kernel, stretch_sample)
+            for c in range(leftmost, rightmost + 1):
+                of_sample[c - leftmost] = _weight(c - sample, kernel, stretch_sample)
             for band in range(bands):
                 # A pixel of the map shows what its own place in the image shows.
-                if not known[band, row, column]:
+                if not has_data[band, row, column]:
                     continue
+                # The weighted mean of those pixels that have data.
                 total = 0.0
                 weights = 0.0
                 for r in range(top, bottom + 1):
-                    for c in range(left, right + 1):
-                        if known[band, r, c]:
-                            weight = of_line[r - top] * of_sample[c - left]
+                    for c in range(leftmost, rightmost + 1):
+                        if has_data[band, r, c]:
+                            weight = of_line[r - top] * of_sample[c - leftmost]
                             weights += weight
                             total += weight * pixels[band, r, c]
                 if weights > _LEAST:
                     value = total / weights
-                    if whole:
+                    if integral:
                         value = min(max(np.floor(value + 0.5), low), high)
                     values[band, i, j] = value
-                    shown[band, i, j] = True
+                    visible[band, i, j] = True
 
 
 _fill = compiled(_filled)
 
 
-def _filled_complex(pixels: Any, known: Any, first_line: int, first_sample: int, positions: Any,
+def _filled_complex(pixels: Any, has_data: Any, first_line: int, first_sample: int, positions: Any,
                     kernel: int, radius: float, stretch_line: float, stretch_sample: float,
-                    lines: int, samples: int, whole: bool, low: float, high: float, values: Any,
-                    shown: Any) -> None:
+                    lines: int, samples: int, integral: bool, low: float, high: float, values: Any,
+                    visible: Any) -> None:
     """Fill both parts of complex pixels."""
-    for part in range(2):
-        some = pixels.real.copy() if part == 0 else pixels.imag.copy()
-        made = np.zeros(values.shape, dtype=some.dtype)
-        _fill(some, known, first_line, first_sample, positions, kernel, radius, stretch_line,
-              stretch_sample, lines, samples, whole, low, high, made, shown)
-        if part == 0:
-            values.real[shown] = made[shown]
+    for component in range(2):
+        component_pixels = pixels.real.copy() if component == 0 else pixels.imag.copy()
+        component_values = np.zeros(values.shape, dtype=component_pixels.dtype)
+        _fill(component_pixels, has_data, first_line, first_sample, positions, kernel, radius,
+              stretch_line, stretch_sample, lines, samples, integral, low, high,
+              component_values, visible)
+        if component == 0:
+            values.real[visible] = component_values[visible]
         else:
-            values.imag[shown] = made[shown]
+            values.imag[visible] = component_values[visible]
 
 
 _fill_complex = _filled_complex

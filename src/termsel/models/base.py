@@ -44,9 +44,9 @@ def _linearised_fault(model: SensorModel, value: Any, *_args: Any, finite: bool 
                       ) -> str | None:
     """Return what is wrong with equations about a solution, if anything."""
     return (of_type(value, Equations)
-            or of_shape(value.A, (-1, len(model.terms)), finite=finite, what="returned as A")
-            or of_shape(value.b, (len(value.A),), finite=finite, what="returned as b")
-            or of_shape(value.feature, (len(value.A),), what="returned as feature"))
+            or of_shape(value.A, (-1, len(model.terms)), finite=finite, verb="returned as A")
+            or of_shape(value.b, (len(value.A),), finite=finite, verb="returned as b")
+            or of_shape(value.feature, (len(value.A),), verb="returned as feature"))
 
 
 def _start_fault(model: SensorModel, value: Any, *_args: Any) -> str | None:

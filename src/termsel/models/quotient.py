@@ -61,7 +61,7 @@ _LAYOUT = (
 def _blocks_fault(_model: RationalModel, value: Any, ground: FloatArray) -> str | None:
     """Return what is wrong with the columns of a model, if anything."""
     return of_type(value, Blocks) or next(filter(None, (
-        of_shape(columns, (len(ground), -1), what=f"returned as {name}")
+        of_shape(columns, (len(ground), -1), verb=f"returned as {name}")
         for name, columns in vars(value).items() if columns is not None
         or name in ("line", "sample"))), None)
 

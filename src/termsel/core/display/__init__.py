@@ -35,4 +35,4 @@ class Glance:
 
 
 def _value(text: str) -> str:
-    return printable(cut(text, _LONGEST), kept="")
+    return printable(cut(text, _LONGEST), keep="")

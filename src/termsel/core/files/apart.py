@@ -48,7 +48,7 @@ _too_much: dict[tuple[object, ...], TermselError] = {}
 """Files, as they were, that took too much."""
 
 
-def apart(work: Callable[..., Answer], path: Path, *more: Any) -> Answer:
+def apart(work: Callable[..., Answer], path: Path, *arguments: Any) -> Answer:
     """Return what a function of a module makes of a file, and further values, in another process.
 
     Raises
@@ -60,14 +60,16 @@ def apart(work: Callable[..., Answer], path: Path, *more: Any) -> Answer:
     require_regular(path)
     state = path.stat() if path.is_file() else None
     size = 0 if state is None else state.st_size
+    # Tables unpack to at most some sixty bytes of memory a byte; a file that takes more says
+    # something false of itself.
     memory = _MEMORY + _MEMORY_A_BYTE * size
     seconds = _SECONDS + _SECONDS_A_BYTE * size
     helper = _helper(allowed_drivers(), remote_allowed())
-    question = (work.__module__, work.__name__, (path, *more), memory, seconds)
+    question = (work.__module__, work.__name__, (path, *arguments), memory, seconds)
     # Several readers look at a file before one reads it.
-    known = (str(path.absolute()), size, state and state.st_mtime_ns)
-    if known in _too_much:
-        raise _too_much[known]
+    file_state = (str(path.absolute()), size, state and state.st_mtime_ns)
+    if file_state in _too_much:
+        raise _too_much[file_state]
     try:
         answer = helper.ask(question, 10 * seconds)
     except ProcessEndedError:
@@ -78,7 +80,7 @@ def apart(work: Callable[..., Answer], path: Path, *more: Any) -> Answer:
             f"which no file of {size / 1024:,.0f} KiB should", file=path,
             hint="Save its table or layer alone, without blank cells and without queries, "
                  "with the program that wrote it.")
-        _too_much[known] = error
+        _too_much[file_state] = error
         raise error
     if isinstance(answer, TermselError):
         raise answer
@@ -130,13 +132,16 @@ def _limit(memory: int, seconds: float) -> None:
         return
     import resource
 
+    # The limit is on addresses, of which the process has some already: pages of /proc/self/statm.
     pages = int(Path("/proc/self/statm").read_text().split()[0])
-    most = pages * resource.getpagesize() + memory
+    address_space = pages * resource.getpagesize() + memory
     _, hard = resource.getrlimit(resource.RLIMIT_AS)
-    resource.setrlimit(resource.RLIMIT_AS,
-                       (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))
-    spent = resource.getrusage(resource.RUSAGE_SELF)
+    if hard != resource.RLIM_INFINITY:
+        address_space = min(address_space, hard)
+    resource.setrlimit(resource.RLIMIT_AS, (address_space, hard))
+    # The limit of CPU time counts from the start of the process, not from now.
+    usage = resource.getrusage(resource.RUSAGE_SELF)
     _, hard = resource.getrlimit(resource.RLIMIT_CPU)
-    limit = int(spent.ru_utime + spent.ru_stime + seconds) + 1
+    limit = int(usage.ru_utime + usage.ru_stime + seconds) + 1
     resource.setrlimit(resource.RLIMIT_CPU,
                        (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))

@@ -106,10 +106,12 @@ def new_folder(folder: Path) -> Iterator[Path]:
                            "a file of this name exists already", file=folder,
                            hint="Name a new folder.")
     try:
-        with private_folder(folder.absolute().parent) as made:
-            yield made
-            made.chmod(0o755)
-            made.rename(folder)
+        # On the same disk, so that the rename is one step: the folder is there completely or not at
+        # all.
+        with private_folder(folder.absolute().parent) as unfinished:
+            yield unfinished
+            unfinished.chmod(0o755)
+            unfinished.rename(folder)
     except OSError as error:
         raise TermselError(f"cannot write this folder: {error.strerror or error}", file=folder,
                            hint="Check that the folder above it exists and has free space."

@@ -107,13 +107,13 @@ def allow_driver(*names: str) -> Iterator[None]:
     >>> with termsel.allow_driver("GIF"):
     ...     pass  # read files here that you trust
     """
-    known = {name.casefold(): name for name in
+    driver_names = {name.casefold(): name for name in
              (*RASTER_DRIVERS, *VECTOR_DRIVERS, *WORKING_DRIVERS, *_OTHERS)}
     for name in names:
-        if name.casefold() not in known:
+        if name.casefold() not in driver_names:
             raise TermselError(f"GDAL has no driver {name!r}",
                                hint="gdalinfo --formats lists their names.")
-    token = _extra.set((*_extra.get(), *(known[name.casefold()] for name in names)))
+    token = _extra.set((*_extra.get(), *(driver_names[name.casefold()] for name in names)))
     try:
         yield
     finally:

@@ -51,8 +51,8 @@ def refuse_pipe(path: Path) -> None:
 def require_regular(path: Path, named_by: object = None) -> None:
     """Refuse what is no regular file, such as a pipe, which a file may name or be next to."""
     if _kind(path) not in (None, stat.S_IFREG):
-        known = "" if named_by is None or str(named_by) == str(path) else f"{path.name!r}: "
-        raise TermselError(f"{known}this is a pipe or a device, expected a file",
+        prefix = "" if named_by is None or str(named_by) == str(path) else f"{path.name!r}: "
+        raise TermselError(f"{prefix}this is a pipe or a device, expected a file",
                            file=path if named_by is None else named_by,
                            hint="Save its content to a file, and give that file.")
 
@@ -172,9 +172,11 @@ def utf8_folder(folder: Path) -> Iterator[Path]:
     if _is_utf8(folder):
         yield folder
         return
-    with private_folder() as own:
-        (own / "folder").symlink_to(folder.absolute(), target_is_directory=True)
-        yield own / "folder"
+    # Libraries that take names in UTF-8 alone reach the folder through a link in one that has such
+    # a name.
+    with private_folder() as link_folder:
+        (link_folder / "folder").symlink_to(folder.absolute(), target_is_directory=True)
+        yield link_folder / "folder"
 
 
 def _is_utf8(path: Path) -> bool:

@@ -18,7 +18,7 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cache
-from pathlib import Path, PurePosixPath
+from pathlib import Path, PurePath, PurePosixPath
 from xml.etree import ElementTree
 
 from termsel.core.errors import TermselError, cut
@@ -38,7 +38,7 @@ _BASE = ":::BASE:::"
 """In front of the name of overviews: they are in the folder of the file that names them."""
 _CONTAINERS = re.compile(r"[a-z][\w+.-]+:", re.IGNORECASE)
 """What begins names such as NETCDF:FILE:VARIABLE; a single letter is a drive of Windows."""
-_PARTS = re.compile(r"(?:GTIFF_DIR:(?:off:)?\d+|NITF_IM:\d+):(.+)", re.IGNORECASE | re.DOTALL)
+_SUBDATASET = re.compile(r"(?:GTIFF_DIR:(?:off:)?\d+|NITF_IM:\d+):(.+)", re.IGNORECASE | re.DOTALL)
 """Names of one image of a file that has several."""
 
 _FILE_TAGS = frozenset(("sourcefilename", "sourcedataset", "sourcevrtfilename", "rpcdem", "dem",
@@ -165,14 +165,14 @@ def foreign_format(head: bytes) -> str:
 def refused_format(path: object, head: bytes, of: object = None) -> TermselError:
     """Return the error for a file of a driver that is off."""
     name = foreign_format(head)
-    what = (f"this is a raster of the format {name}, which termsel does not open" if name else
+    reason = (f"this is a raster of the format {name}, which termsel does not open" if name else
             "this is no raster of a format that termsel opens")
     hint = "Convert it: gdal_translate FILE map.tif."
     if name:
         hint = f"{hint} {DRIVER_HINT.format(name=name)}"
     if of is not None and str(of) != str(path):
-        return TermselError(f"it refers to {cut(str(path), 100)!r}: {what}", file=of, hint=hint)
-    return TermselError(what, file=path, hint=hint)
+        return TermselError(f"it refers to {cut(str(path), 100)!r}: {reason}", file=of, hint=hint)
+    return TermselError(reason, file=path, hint=hint)
 
 
 @dataclass
@@ -188,8 +188,8 @@ class _Chain:
     plain: list[str] = field(default_factory=list)
     elements: int = 0
 
-    def error(self, what: str, hint: str | None = None) -> TermselError:
-        return TermselError(what, file=self.start, hint=hint)
+    def error(self, message: str, hint: str | None = None) -> TermselError:
+        return TermselError(message, file=self.start, hint=hint)
 
     def require_each(self, name: str, folder: str, depth: int = 0) -> int:
         """Require a file as seen from a folder and from the current one; return its reads."""
@@ -197,13 +197,16 @@ class _Chain:
         if name.startswith(_BASE):
             name = os.path.normpath(os.path.join(folder, name.removeprefix(_BASE)))
             return self.require(name, name, depth)
-        places = [name]
+        # GDAL tries a relative name next to the file that has it first, then in the current
+        # folder; each that exists may be the one it opens.
+        candidates = [name]
         if folder and not os.path.isabs(name) and not _CONTAINERS.match(name) \
                 and name[:1] not in "<{":
-            places = [os.path.join(folder, name), name]
-            places = [place for place in places if _is_in_archive(place)
-                      or os.path.lexists(place)] or places[:1]
-        return max(self.require(place, name, depth) for place in dict.fromkeys(places))
+            candidates = [os.path.join(folder, name), name]
+            existing = [path for path in candidates
+                        if _is_in_archive(path) or os.path.lexists(path)]
+            candidates = existing or candidates[:1]
+        return max(self.require(path, name, depth) for path in dict.fromkeys(candidates))
 
     def require(self, name: str, stated: str, depth: int = 0) -> int:
         """Require that a file may be opened; return the number of sources that it reads."""
@@ -224,8 +227,8 @@ class _Chain:
             raise refused_format(name, name.encode(), self.start)
         elif name.casefold().startswith("vrt://"):
             self.reads[name] = self.require(name[6:].partition("?")[0], stated, depth + 1)
-        elif part := _PARTS.fullmatch(name):
-            self.reads[name] = self.require(part[1], stated, depth + 1)
+        elif subdataset := _SUBDATASET.fullmatch(name):
+            self.reads[name] = self.require(subdataset[1], stated, depth + 1)
         elif _ARCHIVE.match(name):
             self.reads[name] = self._of_archive(name, depth)
         elif name.startswith("/vsi"):
@@ -277,16 +280,16 @@ class _Chain:
     def _require_neighbours(self, path: Path, depth: int) -> None:
         """Require the overviews, masks and auxiliary files that GDAL would open as well."""
         for entry in _near(path):
-            known = entry.casefold()
-            place = path.parent / entry
-            if known.endswith((".ovr", ".msk", ".aux", ".rrd")):
-                self.require(str(place), entry, depth + 1)
-            elif not place.is_dir():
-                require_regular(place, self.start)
-                if known.endswith(_TEXTS) and place.stat().st_size > _LARGEST_XML:
-                    raise self._too_large(str(place))
-            if known.endswith(".aux.xml"):
-                self._of_auxiliary(place, depth)
+            name = entry.casefold()
+            neighbour = path.parent / entry
+            if name.endswith((".ovr", ".msk", ".aux", ".rrd")):
+                self.require(str(neighbour), entry, depth + 1)
+            elif not neighbour.is_dir():
+                require_regular(neighbour, self.start)
+                if name.endswith(_TEXTS) and neighbour.stat().st_size > _LARGEST_XML:
+                    raise self._too_large(str(neighbour))
+            if name.endswith(".aux.xml"):
+                self._of_auxiliary(neighbour, depth)
         for entry in _special_entries(str(path.parent)):
             require_regular(path.parent / entry, self.start)
 
@@ -336,24 +339,25 @@ class _Chain:
         if len(set(members)) < len(members):
             raise self.error(f"{archive.name} has two files of one name",
                              "Unpack it, and give the raster.")
-        place = PurePosixPath(member or members[0] if members else "")
+        raster = PurePosixPath(member or members[0] if members else "")
         prefix = name.removesuffix(member).rstrip("/") if member else name
-        stems = tuple(f"{stem}{sign}".casefold() for stem in (place.name, place.stem)
-                      for sign in "._")
-        for other in map(PurePosixPath, members):
-            known = other.name.casefold()
-            if other == place or other.parent != place.parent or not known.startswith(stems):
+        beginnings = _neighbour_beginnings(raster)
+        for other_member in map(PurePosixPath, members):
+            lower_name = other_member.name.casefold()
+            if other_member == raster or other_member.parent != raster.parent \
+                    or not lower_name.startswith(beginnings):
                 continue
-            if known.endswith((".ovr", ".msk", ".aux", ".rrd")):
-                self.require(f"{prefix}/{other}", str(other), depth + 1)
-            elif known.endswith(".aux.xml"):
-                content = _content(name, archive, str(other)) or b""
-                folder = str(PurePosixPath(f"{prefix}/{other}").parent)
+            if lower_name.endswith((".ovr", ".msk", ".aux", ".rrd")):
+                self.require(f"{prefix}/{other_member}", str(other_member), depth + 1)
+            elif lower_name.endswith(".aux.xml"):
+                content = _content(name, archive, str(other_member)) or b""
+                folder = str(PurePosixPath(f"{prefix}/{other_member}").parent)
                 if content.strip():
-                    self._of_text(self._decoded(content, str(other)), folder, depth, "")
+                    self._of_text(self._decoded(content, str(other_member)), folder, depth, "")
 
     def _of_text(self, text: str, folder: str, depth: int, expected: str = "vrtdataset") -> int:
         """Require all that a virtual raster or auxiliary XML names; return the reads."""
+        # Entities can expand to any size, and name files.
         if "<!DOCTYPE" in text or "<!ENTITY" in text:
             raise self._not_plain()
         try:
@@ -399,11 +403,19 @@ class _Chain:
                           "Write it again by gdal_translate or gdalbuildvrt.")
 
 
+def _neighbour_beginnings(raster: PurePath) -> tuple[str, ...]:
+    """Return what names of files begin with that GDAL opens with a raster: map.tif. or map_."""
+    beginnings = []
+    for stem in (raster.name, raster.stem):
+        beginnings += [f"{stem}.".casefold(), f"{stem}_".casefold()]
+    return tuple(beginnings)
+
+
 def _near(path: Path) -> Iterator[str]:
     """Yield the files in the folder of a raster that have its name with another ending."""
-    stems = tuple(f"{stem}{sign}".casefold() for stem in (path.name, path.stem) for sign in "._")
+    beginnings = _neighbour_beginnings(path)
     for entry in _entries(str(path.parent)):
-        if entry.casefold().startswith(stems) and entry != path.name:
+        if entry.casefold().startswith(beginnings) and entry != path.name:
             yield entry
 
 
@@ -435,8 +447,8 @@ def _may_be_name(text: str, folder: str) -> bool:
     if "\0" in text or re.fullmatch(r"[-+.\d,\seE]*", text):
         return False
     # Pipes and devices are such names, too: GDAL would wait for them.
-    return any(os.path.exists(place) and not os.path.isdir(place)
-               for place in (text, os.path.join(folder, text)))
+    return any(os.path.exists(path) and not os.path.isdir(path)
+               for path in (text, os.path.join(folder, text)))
 
 
 def _is_virtual(head: bytes) -> bool:
@@ -472,8 +484,8 @@ def _special_entries(folder: str) -> Iterator[str]:
     """Yield the pipes and devices in a folder that have the names of such texts."""
     for entry in _entries(folder):
         if entry.casefold().endswith(_TEXTS):
-            place = os.path.join(folder, entry)
-            if not os.path.isfile(place) and not os.path.isdir(place) and os.path.exists(place):
+            path = os.path.join(folder, entry)
+            if not os.path.isfile(path) and not os.path.isdir(path) and os.path.exists(path):
                 yield entry
 
 
@@ -495,15 +507,17 @@ def _is_in_archive(name: str) -> bool:
 
 def _divided(name: str) -> tuple[Path | None, str]:
     """Return the archive of a name such as /vsizip/maps.zip/map.tif, and the name in it."""
-    found = _ARCHIVE.match(name)
-    rest = found[2] if found else ""
-    if rest.startswith("{"):
-        archive, _, member = rest[1:].partition("}")
+    match = _ARCHIVE.match(name)
+    path_in_disk = match[2] if match else ""
+    # GDAL takes /vsizip/{ARCHIVE}/MEMBER as well, for archives of any ending.
+    if path_in_disk.startswith("{"):
+        archive, _, member = path_in_disk[1:].partition("}")
         return (Path(archive) if os.path.isfile(archive) else None), member.lstrip("/")
-    parts = PurePosixPath(rest)
-    for start in (parts, *parts.parents):
-        if os.path.isfile(start):
-            return Path(start), str(parts.relative_to(start)) if start != parts else ""
+    full = PurePosixPath(path_in_disk)
+    for candidate in (full, *full.parents):
+        if os.path.isfile(candidate):
+            member = str(full.relative_to(candidate)) if candidate != full else ""
+            return Path(candidate), member
     return None, ""
 
 

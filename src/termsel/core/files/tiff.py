@@ -22,7 +22,7 @@ class _Layout:
     """How a kind of TIFF writes numbers: as `struct` names them, with their sizes in bytes."""
 
     first: int  # where the place of the first directory is written
-    place: str
+    offset: str
     entries: str
     entry: str  # tag, type, count, value or its place
 
@@ -48,7 +48,7 @@ def metadata_of_tiff(file: BinaryIO) -> bytes | None:
     if layout is None:
         return None
     try:
-        start = _number(file, layout.first, order + layout.place)
+        start = _number(file, layout.first, order + layout.offset)
         count = _number(file, start, order + layout.entries)
         size = struct.calcsize(order + layout.entry)
         if count > _MOST_ENTRIES:
@@ -57,17 +57,17 @@ def metadata_of_tiff(file: BinaryIO) -> bytes | None:
         for tag, _, length, value in struct.iter_unpack(order + layout.entry, table):
             if tag == _METADATA:
                 # Text that is no longer than its place is written there.
-                small = length <= struct.calcsize(layout.place)
+                small = length <= struct.calcsize(layout.offset)
                 return b"" if small else _bytes(file, value, length)
     except (struct.error, OverflowError):  # cut off
         return None
     return b"" if len(table) == count * size else None
 
 
-def _number(file: BinaryIO, place: int, form: str) -> int:
-    return int(struct.unpack(form, _bytes(file, place, struct.calcsize(form)))[0])
+def _number(file: BinaryIO, offset: int, form: str) -> int:
+    return int(struct.unpack(form, _bytes(file, offset, struct.calcsize(form)))[0])
 
 
-def _bytes(file: BinaryIO, place: int, length: int) -> bytes:
-    file.seek(place)
+def _bytes(file: BinaryIO, offset: int, length: int) -> bytes:
+    file.seek(offset)
     return file.read(min(length, _LONGEST))

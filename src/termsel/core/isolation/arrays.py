@@ -9,22 +9,23 @@ import numpy as np
 
 
 def of_shape(value: Any, shape: tuple[int, ...], *, finite: bool = True,
-             what: str = "returned") -> str | None:
+             verb: str = "returned") -> str | None:
     """Return how an array of numbers differs from what is expected, None if it does not.
 
     In the shape -1 stands for any length. The message begins with `what`.
     """
     expected = f"expected an array of numbers of shape ({_listed(shape)})"
     if not isinstance(value, np.ndarray):
-        return f"{what} an object of type {type(value).__name__}; {expected}"
+        return f"{verb} an object of type {type(value).__name__}; {expected}"
     # Real and whole numbers; bool and complex are not.
     if value.dtype.kind not in "fiu":
-        return f"{what} an array of {value.dtype}; {expected}"
-    if len(value.shape) != len(shape) or any(expected_size not in (-1, size) for expected_size,
-                                             size in zip(shape, value.shape, strict=True)):
-        return f"{what} an array of shape ({_listed(value.shape)}); {expected}"
+        return f"{verb} an array of {value.dtype}; {expected}"
+    sizes_fit = all(expected_size in (-1, size)
+                    for expected_size, size in zip(shape, value.shape, strict=False))
+    if len(value.shape) != len(shape) or not sizes_fit:
+        return f"{verb} an array of shape ({_listed(value.shape)}); {expected}"
     if finite and not np.isfinite(value).all():
-        return (f"{what} {np.count_nonzero(~np.isfinite(value))} numbers that are not finite; "
+        return (f"{verb} {np.count_nonzero(~np.isfinite(value))} numbers that are not finite; "
                 "expected finite ones")
     return None
 

@@ -74,24 +74,24 @@ def name_of(definition: Any) -> str:
     return f"{getattr(cls, 'kind', '')} {shown_name} of {distribution}".strip()
 
 
-def named_function(what: str, function: Any) -> str:
+def named_function(kind: str, function: Any) -> str:
     """Return what a message calls a function by what it is of, such as "objective 'spread'"."""
-    return f"{what} of {distribution_of(package_of(function))}"
+    return f"{kind} of {distribution_of(package_of(function))}"
 
 
 def wrong(definition: Any, method: str, fault: str, hint: str = HINT,
-          called: str = "") -> PluginFault:
+          name: str = "") -> PluginFault:
     """Return the fault of a method, such as "score": what it returned, and what was expected.
 
     `called` takes the place of the name of the definition.
     """
     file, line = _defined(definition, method)
-    return PluginFault(f"{called or name_of(definition)}: {method}() {fault}", file=file,
+    return PluginFault(f"{name or name_of(definition)}: {method}() {fault}", file=file,
                        line=line, hint=hint)
 
 
 @contextmanager
-def blamed(definition: Any, method: str, hint: str = HINT, called: str = "") -> Iterator[None]:
+def blamed(definition: Any, method: str, hint: str = HINT, name: str = "") -> Iterator[None]:
     """Run code of a plugin; what it raises becomes its PluginFault, with the method named.
 
     termsel's own errors pass, such as a `TermselError` on a file that the user can correct. So does
@@ -111,7 +111,7 @@ def blamed(definition: Any, method: str, hint: str = HINT, called: str = "") -> 
         if isinstance(error, KeyboardInterrupt | MemoryError) or is_own(type(error)) \
                 or is_marked(error):
             raise
-        raise failed(error, f"{called or name_of(definition)} failed in {method}()", package,
+        raise failed(error, f"{name or name_of(definition)} failed in {method}()", package,
                      hint) from error
 
 

@@ -14,21 +14,21 @@ from termsel.core.errors import TermselError
 
 @dataclass(frozen=True)
 class Part:
-    """What a package gives termsel for one place.
+    """What a package gives termsel for one slot.
 
     Parameters
     ----------
-    place : str
+    slot : str
         "study": a `StudyOutput`, what is made of a study. "study-map": what makes a map of its
         images, called as `termsel_studies.map_of`. "scheduler": what runs cells, called as
         `termsel_cluster.on_cluster`. "certificate": what makes the writer of a certificate, called
         as `termsel_bench.certificate.certifier`. "reading": options of reading, as
         `termsel_photos.known.reading.CameraOptions` has them.
     value : object
-        What the place takes.
+        What the slot takes.
     """
 
-    place: str
+    slot: str
     value: Any
 
 
@@ -37,10 +37,10 @@ sources: list[Callable[[], Iterable[Part]]] = []
 
 
 def parts(slot: str) -> list[Any]:
-    """Return what packages give for a place; empty where none is installed."""
+    """Return what packages give for a slot; empty where none is installed."""
     values: list[Any] = []
     for source in sources:
-        values += [extension.value for extension in source() if extension.place == slot]
+        values += [extension.value for extension in source() if extension.slot == slot]
     return values
 
 

@@ -21,26 +21,28 @@ _SPREADSHEETS = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
 
 
 def with_advice(error: TermselError, header: Sequence[str], rows: Sequence[Sequence[str]],
-                found: Mapping[str, int], aliases: Aliases,
+                known_columns: Mapping[str, int], aliases: Aliases,
                 fixed: Collection[int] = ()) -> TermselError:
     """Return an error with the text of --columns that declares all columns, as far as it is known.
 
-    `found` is the column of each meaning that is known; the others are guessed, of points only, in
-    all ways that fit. Nobody can declare the columns `fixed`, such as those of a geometry.
+    `known_columns` is the column of each meaning that is known; the others are guessed, of points
+    only, in all ways that fit. Nobody can declare the columns `fixed`, such as those of a geometry.
     """
     if "line" not in aliases or "x" not in aliases:
         return error
-    readings = [{**reading, **found} for reading in _readings(rows, len(header), found)]
+    readings = [{**reading, **known_columns}
+                for reading in _readings(rows, len(header), known_columns)]
     texts = [_columns_option(reading, header, aliases, fixed) for reading in readings]
     error.options["--columns"] = texts[0]
     error.hint = f"{error.hint or ''} Declare the columns: --columns {texts[0]!r}."
     if "?" in texts[0]:
         error.hint += " Put the column for each ?."
-    elif readings[0].keys() - found:
+    elif readings[0].keys() - known_columns:
         error.guesses = texts
         first = next((row for row in rows if len(row) == len(header)), ())
+        first_point = "; or ".join(_read_so(first, reading) for reading in readings)
         error.hint += (" This mapping is a guess; check it. The first point would be "
-                       + "; or ".join(_read_so(first, one) for one in readings) + ".")
+                       f"{first_point}.")
     return error
 
 
@@ -52,9 +54,9 @@ def _columns_option(columns: Mapping[str, int], header: Sequence[str], aliases: 
     for meaning in aliases:
         i = columns.get(meaning)
         if i is not None and i not in fixed:
-            plain = names.count(names[i]) == 1 and names[i] and "," not in names[i] \
+            is_unambiguous = names.count(names[i]) == 1 and names[i] and "," not in names[i] \
                 and not names[i].isdecimal()
-            pairs.append(f"{meaning}={names[i] if plain else i + 1}")
+            pairs.append(f"{meaning}={names[i] if is_unambiguous else i + 1}")
         elif i is None and meaning in ("line", "sample", "x", "y"):
             pairs.append(f"{meaning}=?")
     return ",".join(pairs)
@@ -69,29 +71,30 @@ def _read_so(row: Sequence[str], columns: Mapping[str, int]) -> str:
 
 def unknown_table(path: Path, expected: str, columns: str) -> TermselError | None:
     """Return the error for a file without a reader, None unless it is a table of numbers."""
-    own = parse_columns(columns)
+    stated = parse_columns(columns)
     try:
-        cells = read_cells(path, POINTS, own)
+        cells = read_cells(path, POINTS, stated)
     except TermselError as error:
-        known = isinstance(error, BadText) or path.suffix.lower() in _SPREADSHEETS
-        return error if known else None
+        is_table = isinstance(error, BadText) or path.suffix.lower() in _SPREADSHEETS
+        return error if is_table else None
     crs = _crs_of(cells.rows[0]) if cells.rows else ""
-    whole = cells.rows[1:] if crs else cells.rows
-    rows = [row for row in whole[:_ROWS] if len(row) == len(whole[-1]) <= WIDEST]
+    all_rows = cells.rows[1:] if crs else cells.rows
+    rows = [row for row in all_rows[:_ROWS] if len(row) == len(all_rows[-1]) <= WIDEST]
     values = _numbers(rows[1:])
     if len(rows) < 3 or len(values) < 4:
         return None if path.suffix.lower() not in _SPREADSHEETS else TermselError(
             "no visible sheet has a table of points", file=path, hint=expected)
     bare = any(i in _numbers(rows[:1]) for i in values)
     header = [str(i + 1) for i in range(len(rows[0]))] if bare else rows[0]
-    found = {meaning: places[0] for meaning, places in matches(header, POINTS).items() if places}
+    by_name = {meaning: columns[0] for meaning, columns in matches(header, POINTS).items()
+               if columns}
     message = "this table has no header that names its columns" if bare else \
         f"the header names too few columns that are known: {', '.join(map(str.strip, header))}"
     unnamed = TermselError(message, file=path, hint=expected)
     if crs:
         unnamed.what += f", and its first line is the CRS {crs}: write it as # crs: {crs}"
     return with_advice(unnamed, header, rows if bare else rows[1:],
-                       {**found, **declared(header, own)}, POINTS)
+                       {**by_name, **declared(header, stated)}, POINTS)
 
 
 def _crs_of(row: Sequence[str]) -> str:
@@ -107,7 +110,7 @@ def _crs_of(row: Sequence[str]) -> str:
 
 def _numbers(rows: Sequence[Sequence[str]]) -> dict[int, FloatArray]:
     """Return the columns that hold numbers alone."""
-    found = {}
+    numbers: dict[int, FloatArray] = {}
     for i, cells in enumerate(zip(*rows, strict=True)):
         try:
             signs, _ = decimal_signs({"": cells})
@@ -116,46 +119,46 @@ def _numbers(rows: Sequence[Sequence[str]]) -> dict[int, FloatArray]:
         except BadCell:
             continue
         if not np.isnan(values).all():
-            found[i] = values
-    return found
+            numbers[i] = values
+    return numbers
 
 
 def _readings(rows: Sequence[Sequence[str]], width: int,
-              found: Mapping[str, int]) -> list[dict[str, int]]:
+              known_columns: Mapping[str, int]) -> list[dict[str, int]]:
     """Return in which ways columns can be read whose meaning is not known, the likeliest first.
 
     Flags and columns that hold one number are no coordinates; a column that counts the points, or
     of text, is their id. Of the others, pairs lie next to each other: sample and line, x and y.
     """
     rows = [row for row in rows[:_ROWS] if len(row) == width]
-    numbers = {i: column for i, column in _numbers(rows).items() if i not in found.values()}
-    extra = _id_and_flags(numbers, found, width)
-    known = extra.values()
+    numbers = {i: column for i, column in _numbers(rows).items() if i not in known_columns.values()}
+    extra = _id_and_flags(numbers, known_columns, width)
+    taken_columns = extra.values()
     values = {i: column for i, column in numbers.items()
-              if i not in known and np.nanmin(column) < np.nanmax(column)}
-    coordinates = {meaning for meaning in found if meaning in ("line", "sample", "x", "y", "z")}
+              if i not in taken_columns and np.nanmin(column) < np.nanmax(column)}
+    coordinates = known_columns.keys() & {"line", "sample", "x", "y", "z"}
     if not coordinates and len(values) in (4, 5):
         return [extra | reading for reading in _of_pairs(values)]
-    missing = [name for name in ("x", "y", "z", "sample", "line") if name not in found]
+    missing = [name for name in ("x", "y", "z", "sample", "line") if name not in known_columns]
     if len(values) != len(missing):
         return [extra]
     return [extra | reading for reading in _of_missing(missing, list(values))]
 
 
-def _id_and_flags(numbers: Mapping[int, FloatArray], found: Mapping[str, int],
+def _id_and_flags(numbers: Mapping[int, FloatArray], known_columns: Mapping[str, int],
                   width: int) -> dict[str, int]:
     """Return the column of ids, and of the flags 0 and 1 of points that are in use."""
     extra: dict[str, int] = {}
-    texts = [i for i in range(width) if i not in numbers and i not in found.values()]
+    texts = [i for i in range(width) if i not in numbers and i not in known_columns.values()]
     first = next(iter(numbers), None)
     counts = first is not None and len(numbers) > 4 and np.array_equal(
         numbers[first] - numbers[first][0], np.arange(len(numbers[first])))
-    if "id" not in found and counts and first is not None:
+    if "id" not in known_columns and counts and first is not None:
         extra["id"] = first
-    elif "id" not in found and texts:
+    elif "id" not in known_columns and texts:
         extra["id"] = texts[0]
     flags = [i for i, column in numbers.items() if np.isin(column, (0.0, 1.0)).all()]
-    if flags and "enabled" not in found:
+    if flags and "enabled" not in known_columns:
         extra["enabled"] = flags[-1]
     return extra
 
@@ -200,7 +203,7 @@ def _of_pairs(values: Mapping[int, FloatArray]) -> list[dict[str, int]]:
                     or not _are_degrees(values, ground[:2]):
                 readings.append(reading)
     # Sample before line and x before y is how most programs write them.
-    return sorted(readings, key=lambda one: (one["x"] > one["y"]))
+    return sorted(readings, key=lambda reading: reading["x"] > reading["y"])
 
 
 def _upright(values: Mapping[int, FloatArray], image: Sequence[int],
@@ -209,6 +212,8 @@ def _upright(values: Mapping[int, FloatArray], image: Sequence[int],
     table = [values[i] for i in (*ground[:2], *image)]
     if any(np.isnan(column).any() for column in table):
         return "sample", "line"
+    # The affine map (x, y) -> (first, second), by least squares: its determinant is negative for a
+    # pair sample, line.
     x, y, first, second = table
     design = np.column_stack([x - x.mean(), y - y.mean()])
     slopes = np.linalg.lstsq(design, np.column_stack([first, second]) - [
@@ -231,9 +236,9 @@ def _is_ground(values: Mapping[int, FloatArray], pair: Sequence[int]) -> bool:
 def _explained(values: Mapping[int, FloatArray], i: int) -> float:
     """Return the share of a column's variance that a linear function of the others explains."""
     table = np.column_stack([column for j, column in values.items() if j != i])
-    good = ~np.isnan(np.column_stack([table, values[i]])).any(axis=1)
-    y = values[i][good] - values[i][good].mean()
-    a = table[good] - table[good].mean(axis=0)
+    complete = ~np.isnan(np.column_stack([table, values[i]])).any(axis=1)
+    y = values[i][complete] - values[i][complete].mean()
+    a = table[complete] - table[complete].mean(axis=0)
     a = a / np.maximum(np.abs(a).max(axis=0), 1e-300)
-    rest = y - a @ np.linalg.lstsq(a, y, rcond=None)[0]
-    return float(1 - rest @ rest / max(y @ y, 1e-300))
+    residual = y - a @ np.linalg.lstsq(a, y, rcond=None)[0]
+    return float(1 - residual @ residual / max(y @ y, 1e-300))

@@ -21,8 +21,8 @@ class AreasCsv(TableReader):
     name = "areas-csv"
     summary = "areas as a table of corners headed id,corner,line,sample,x,y,z"
     areas = True
-    known = USE | COORDINATES | CORNER
-    needed = (("corner",),)
+    aliases = USE | COORDINATES | CORNER
+    required = (("corner",),)
     declared_options = (*COLUMNS, Option(
         "areas_as", "boundary", "How areas are used: their edges as lines, all those of an area "
                                 "one feature; or their centroids as points.", choices=FORMS))
@@ -34,41 +34,46 @@ class AreasCsv(TableReader):
         ground = table.stack("x", "y", "z")
         roles = table.roles()
         # Their edges are lines, of which sigma is a measurement.
-        more = {key: cells for key, cells in table.more.items() if key.casefold() != "sigma"}
+        attributes = {key: cells for key, cells in table.attributes.items()
+                      if key.casefold() != "sigma"}
         areas = []
-        for name, own in rows.items():
-            role = next((roles[row] for row in own if roles[row]), "")
-            for row in own:
+        for name, corners in rows.items():
+            # One corner with a role gives it to the area.
+            role = next((roles[row] for row in corners if roles[row]), "")
+            for row in corners:
                 if roles[row] not in ("", role):
                     raise table.error(f"area {name!r} has the roles {role!r} and {roles[row]!r}",
                                       row, "role" if "role" in table.names else "enabled",
                                       "Give it one role.")
+            described = [{key: cells[row] for key, cells in attributes.items()} for row in corners]
             try:
-                areas.append(Area(name, image[own], ground[own], role, alike(
-                    [{key: cells[row] for key, cells in more.items()} for row in own])))
+                areas.append(Area(name, image[corners], ground[corners], role, alike(described)))
+            # The corner, as it names a row of the file.
             except CornerError as error:
-                raise table.error(error.what, own[error.corner],
+                raise table.error(error.what, corners[error.corner],
                                   "line" if error.where == "image" else "x", error.hint) from error
         try:
             if self.options["areas_as"] == "boundary":
                 return FeatureSet(lines=boundary(areas), crs=table.crs)
             return FeatureSet(centroids(areas), crs=table.crs)
         except TermselError as error:
+            # Errors of several areas name one of them by its id.
             first = rows[error.ids[0]][0] if error.ids else 0
             raise table.at(error, first) from error
 
 
 def _rows_of_areas(table: Table) -> dict[str, list[int]]:
     """Return the rows of each area in the order of its corners."""
+    # Corners of an area need not be next to each other in the file.
     rows: dict[str, list[int]] = {}
     for row, name in enumerate(table.ids()):
         rows.setdefault(name, []).append(row)
     number = table.stack("corner")[:, 0]
-    for name, own in rows.items():
-        own.sort(key=lambda row: float(number[row]))
-        for one, other in pairwise(own):
-            if number[one] == number[other]:
-                raise table.error(f"corner {number[one]:g} of area {name!r} is also on line "
-                                  f"{table.lines[one]}", other, "corner",
+    for name, corners in rows.items():
+        corners.sort(key=lambda row: float(number[row]))
+        for first, second in pairwise(corners):
+            if number[first] == number[second]:
+                raise table.error(f"corner {number[first]:g} of area {name!r} is also on line "
+                                  f"{table.lines[first]}", second, "corner",
                                   "Number the corners in order around the area.")
     return rows

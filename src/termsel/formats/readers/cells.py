@@ -8,6 +8,7 @@ import io
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +36,7 @@ class BadText(TermselError):
 class Cells:
     """Rows of a table before their meaning is known, without blank ones and comments.
 
-    Each row begins on one of `lines` of the file, or has that number; `part` is what a row is
+    Each row begins on one of `lines` of the file, or has that number; `row_name` is what a row is
     called: "line", or "feature" or "row" of a table without lines. `comments` are by line.
     `delimiter` separates cells of text, "" for spaces and for tables without text. `fixed` are
     columns whose meaning is known whatever their names say, `notes` what was decided in reading.
@@ -45,7 +46,7 @@ class Cells:
     lines: list[int]
     comments: Mapping[int, str] = field(default_factory=dict)
     delimiter: str = ""
-    part: str = "line"
+    row_name: str = "line"
     fixed: Mapping[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
@@ -54,45 +55,50 @@ def as_cell(value: Any) -> str:
     """Return a value as the text of a cell; whole numbers, as many ids are, without a point."""
     if value is None or value != value or str(value) in ("NaT", "<NA>"):  # of pandas
         return ""
+    # An id 17 is read by spreadsheets as 17.0.
     if isinstance(value, float | np.floating):
         number = float(value)
         return str(int(number)) if number.is_integer() and abs(number) < 1e15 else repr(number)
     return str(value)
 
 
-def found_in(header: Sequence[str], aliases: Aliases, own: Mapping[str, str]) -> int:
+def found_in(header: Sequence[str], aliases: Aliases, stated: Mapping[str, str]) -> int:
     """Return how many meanings of numbers a header names."""
     header = header[:WIDEST]  # a wider one is refused when it is read
-    found = declared(header, own).keys() | {
+    named = declared(header, stated).keys() | {
         meaning for meaning, columns in matches(header, aliases).items() if columns}
-    return len((found & aliases.keys()) - USE.keys())
+    # Roles and ids say nothing of which table it is.
+    return len((named & aliases.keys()) - USE.keys())
 
 
-def header_row(rows: Sequence[Sequence[str]], aliases: Aliases, own: Mapping[str, str]) -> int:
+def header_row(rows: Sequence[Sequence[str]], aliases: Aliases, stated: Mapping[str, str]) -> int:
     """Return the row that names most columns, among the first ones; 0 where none names three."""
-    counts = [found_in(row, aliases, own) for row in rows[:_SEARCHED]]
+    counts = [found_in(row, aliases, stated) for row in rows[:_SEARCHED]]
     best = max(counts, default=0)
     return counts.index(best) if best >= 3 else 0
 
 
-def read_cells(path: Path, aliases: Aliases, own: Mapping[str, str], layer: str | None = None,
+def read_cells(path: Path, aliases: Aliases, stated: Mapping[str, str], layer: str | None = None,
                ) -> Cells:
-    """Return the rows of a file; `aliases` and `own` choose its separator, or its sheet."""
+    """Return the rows of a file; `aliases` and `stated` choose its separator, or its sheet."""
     data = read_data(path)
+    # Spreadsheets are known by their first bytes, whatever their name.
     if data.startswith(_SHEETS):
-        return _sheet(path, aliases, own, layer)
+        return _sheet(path, aliases, stated, layer)
     text, encoding = decoded(data, path)
     _refuse_wide(path, text)
-    known = encoding.startswith("utf")
-    return replace(_of_text(path, text, _delimiter(text, aliases, own)), notes=() if known else (
-        f"the text of {path} is not UTF-8; it is read as {encoding}",))
+    is_unicode = encoding.startswith("utf")
+    notes = () if is_unicode else (
+        f"the text of {path} is not UTF-8; it is read as {encoding}",)
+    return replace(_of_text(path, text, _delimiter(text, aliases, stated)), notes=notes)
 
 
-def sniffed(path: Path, head: bytes, aliases: Aliases, own: Mapping[str, str]) -> list[list[str]]:
+def sniffed(path: Path, head: bytes, aliases: Aliases,
+            stated: Mapping[str, str]) -> list[list[str]]:
     """Return the first rows of a file, none where it is no table."""
     if head.startswith(_SHEETS):
         try:
-            return _sheet(path, aliases, own, None).rows if is_there(path) else []
+            return _sheet(path, aliases, stated, None).rows if is_there(path) else []
         except TermselError:
             return []
     try:
@@ -101,7 +107,7 @@ def sniffed(path: Path, head: bytes, aliases: Aliases, own: Mapping[str, str]) -
         return []
     if text.lstrip()[:1] in ("<", "{"):  # XML or JSON, which other readers take or refuse
         return []
-    delimiter = _delimiter(text, aliases, own)
+    delimiter = _delimiter(text, aliases, stated)
     return [_split(line, delimiter) for line in _first_lines(text)]
 
 
@@ -110,29 +116,34 @@ def decoded(data: bytes, path: Path, *, final: bool = True) -> tuple[str, str]:
 
     If not `final`, `data` are the first bytes of more. Raises TermselError if they are no text.
     """
+    # Of text in UTF-16, every other byte is mostly zero: the first of each pair if the high byte
+    # comes first.
     zeros = [data[start:400:2].count(0) * 5 > len(data[:400]) // 2 for start in (0, 1)]
     wide = data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
-    tried = (["utf-16"] if wide else ["utf-16-be"] if zeros == [True, False] else
+    encodings = (["utf-16"] if wide else ["utf-16-be"] if zeros == [True, False] else
              ["utf-16-le"] if zeros == [False, True] else ["utf-8-sig", "gb18030", "cp1252"])
-    bad: UnicodeDecodeError | None = None
-    for encoding in tried:
+    first_error: UnicodeDecodeError | None = None
+    for encoding in encodings:
         try:
             text = codecs.getincrementaldecoder(encoding)().decode(data, final)
         except UnicodeDecodeError as error:
-            bad = bad or error
+            first_error = first_error or error
             continue
         if "\0" in text:
             break
         if encoding != "gb18030" or any(name in text for name in FOREIGN):
             return text, encoding
-    if bad is None or (b"\0" in data and not wide):
+    # A zero byte is in no text of these encodings but UTF-16.
+    if first_error is None or (b"\0" in data and not wide):
         raise TermselError("this file is binary, expected text or a spreadsheet", file=path)
     raise BadText(f"the text of this file is not {'UTF-16' if wide else 'UTF-8'}", file=path,
-                  line=data[:bad.start].count(b"\n") + 1, hint="Save it with the encoding UTF-8.")
+                  line=data[:first_error.start].count(b"\n") + 1,
+                  hint="Save it with the encoding UTF-8.")
 
 
 def _refuse_wide(path: Path, text: str) -> None:
     """Refuse what has an endless first row, before its names are compared with those known."""
+    # Comparing a million names with those that are known would take minutes.
     first = next(_first_lines(text), "")
     cells = max(len(_split(first, delimiter)) for delimiter in _DELIMITERS)
     if cells > WIDEST:
@@ -153,17 +164,23 @@ def _split(line: str, delimiter: str) -> list[str]:
     if not delimiter:
         return line.split()
     try:
+        # A quotation mark that is not closed, of a line that is no row.
         return next(csv.reader([line], delimiter=delimiter), [])
     except csv.Error:
         return []
 
 
-def _delimiter(text: str, aliases: Aliases, own: Mapping[str, str]) -> str:
+def _delimiter(text: str, aliases: Aliases, stated: Mapping[str, str]) -> str:
     """Return the separator by which a line names most columns, or divides into most cells."""
     lines = list(_first_lines(text))
-    best = max(((found_in(cells, aliases, own), -i, len(cells) * bool(delimiter), delimiter)
-                for i, line in enumerate(lines) for delimiter in _DELIMITERS
-                for cells in [_split(line, delimiter)]), default=(0, 0, 0, ","))
+    candidates = [(0, 0, 0, ",")]
+    for i, line in enumerate(lines):
+        for delimiter in _DELIMITERS:
+            cells = _split(line, delimiter)
+            # Most columns named, then the earliest line, then most cells.
+            width = len(cells) if delimiter else 0
+            candidates.append((found_in(cells, aliases, stated), -i, width, delimiter))
+    best = max(candidates)
     if best[0] >= 3:
         return best[-1]
     line = lines[0] if lines else ""
@@ -183,6 +200,7 @@ def _of_text(path: Path, text: str, delimiter: str) -> Cells:
         # The reader asks for the next line of a row before it gives the row, so that a line
         # within quotation marks is not the one after the end of the last row.
         for number, line in enumerate(io.StringIO(text, newline=""), 1):
+            # A "#" within quotation marks is part of a cell.
             if line[0] == "#" and number == end + 1:
                 comments[number] = line
                 line = "\n"
@@ -202,20 +220,25 @@ def _of_text(path: Path, text: str, delimiter: str) -> Cells:
     return Cells(rows, lines, comments, delimiter)
 
 
-def _sheet(path: Path, aliases: Aliases, own: Mapping[str, str], layer: str | None) -> Cells:
+def _sheet(path: Path, aliases: Aliases, stated: Mapping[str, str], layer: str | None) -> Cells:
     """Return the rows of a sheet of a spreadsheet: the first visible one that names columns."""
     with requires("spreadsheets require", "python-calamine", '"termsel[tables]"', path):
         import python_calamine  # noqa: F401 (what the other process imports)
+    # In a process of its own: a small file can claim billions of cells.
     names, sheets = apart(_sheets, path, layer)
     if not sheets:
         raise TermselError(f"the file has no sheet {layer!r}" if layer else "no sheet is visible",
                            file=path, hint=f"It has {', '.join(names) or 'hidden sheets alone'}.")
-    good = [name for name, (rows, _) in sheets.items()
-            if max((found_in(row, aliases, own) for row in rows[:_SEARCHED]), default=0) >= 3]
-    chosen = (good or list(sheets))[0]
-    return Cells(*sheets[chosen], notes=() if len(good) < 2 else (
-        f"{path} has tables in the sheets {', '.join(good)}; {chosen} is read, and --set "
-        "layer=NAME chooses another",))
+    with_header = []
+    for name, (rows, _) in sheets.items():
+        counts = [found_in(row, aliases, stated) for row in rows[:_SEARCHED]]
+        if max(counts, default=0) >= 3:
+            with_header.append(name)
+    sheet = (with_header or list(sheets))[0]
+    notes = () if len(with_header) < 2 else (
+        f"{path} has tables in the sheets {', '.join(with_header)}; {sheet} is read, and --set "
+        "layer=NAME chooses another",)
+    return Cells(*sheets[sheet], notes=notes)
 
 
 def _sheets(path: Path, layer: str | None,
@@ -228,6 +251,7 @@ def _sheets(path: Path, layer: str | None,
 
     try:
         with CalamineWorkbook.from_path(str(path)) as book:
+            # Hidden sheets are often old versions, and are read only by name.
             names = [sheet.name for sheet in book.sheets_metadata
                      if sheet.visible == SheetVisibleEnum.Visible or sheet.name == layer]
             return names, {
@@ -242,36 +266,42 @@ def _filled(values: Sequence[Sequence[Any]]) -> tuple[list[list[str]], list[int]
     """Return the rows of a sheet that are not empty, without empty columns at the end."""
     rows = [list(map(as_cell, row)) for row in values]
     lines = [number for number, row in enumerate(rows, 1) if any(map(str.strip, row))]
+    # Rows without any cell are left out; the others keep their numbers.
     rows = [rows[number - 1] for number in lines]
-    width = max((i + 1 for row in rows for i, cell in enumerate(row) if cell.strip()), default=0)
+    widths = [max((i + 1 for i, cell in enumerate(row) if cell.strip()), default=0)
+              for row in rows]
+    width = max(widths, default=0)
     return [row[:width] for row in rows], lines
 
 
-def of_records(records: Sequence[Mapping[str, Any]], part: str,
+def of_records(records: Sequence[Mapping[str, Any]], row_name: str,
                fixed: Mapping[str, str], numbers: Sequence[int] = ()) -> Cells:
     """Return records, such as the properties of features, as rows below a header.
 
-    Values that are lists or objects are left out. `part` is what one record is called, `numbers`
-    (by default from 1) are what messages call each, `fixed` the columns whose meaning is known.
+    Values that are lists or objects are left out. `row_name` is what one record is called,
+    `numbers` (by default from 1) are what messages call each, `fixed` the columns whose meaning is
+    known.
     """
-    plain = [{name: as_cell(value) for name, value in record.items()
-              if not isinstance(value, list | dict)} for record in records]
-    names = list(dict.fromkeys(name for record in plain for name in record))
-    rows = [[record.get(name, "") for name in names] for record in plain]
+    texts = []
+    for record in records:
+        texts.append({name: as_cell(value) for name, value in record.items()
+                      if not isinstance(value, list | dict)})
+    names = list(dict.fromkeys(chain.from_iterable(texts)))
+    rows = [[record.get(name, "") for name in names] for record in texts]
+    columns = {meaning: names.index(name) for meaning, name in fixed.items() if name in names}
     return Cells([list(map(str, names)), *rows], [0, *(numbers or range(1, len(rows) + 1))],
-                 part=part,
-                 fixed={meaning: names.index(name) for meaning, name in fixed.items()
-                        if name in names})
+                 row_name=row_name, fixed=columns)
 
 
-def without_header(cells: Cells, own: Mapping[str, str]) -> Cells:
+def without_header(cells: Cells, stated: Mapping[str, str]) -> Cells:
     """Return the cells with numbers for a header, where columns are declared by number and the
     first row holds numbers there."""
     first = cells.rows[0] if cells.rows else []
-    columns = declared(first, own)
+    columns = declared(first, stated)
     names = {name.strip().casefold() for name in first}
     by_number = [i for meaning, i in columns.items()
-                 if meaning not in USE and own[meaning].casefold() not in names]
+                 if meaning not in USE and stated[meaning].casefold() not in names]
+    # A header of numbers would be the first row of data.
     if not by_number or not all(any(map(str.isdigit, first[i])) for i in by_number):
         return cells
     header = [str(i + 1) for i in range(len(first))]

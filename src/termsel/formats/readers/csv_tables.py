@@ -35,7 +35,7 @@ class PointsCsv(TableReader):
     states_origin = False
     name = "points-csv"
     summary = "points as a table headed id,role,line,sample,x,y,z[,sigma_line,sigma_sample]"
-    known = POINTS
+    aliases = POINTS
 
     def features(self, table: Table) -> FeatureSet:
         """Return the points of a table; errors name file, line and column."""
@@ -46,6 +46,8 @@ class PointsCsv(TableReader):
 
 def _check_pixels(table: Table, features: FeatureSet) -> None:
     """Say that x and y are read as pixels next to lon and lat, and refuse what can be none."""
+    # Tables of GIS have x and y on the ground, tables of viewers in the image: next to lon and lat
+    # they can only be the latter.
     if [table.names.get(meaning, "").strip().casefold() for meaning in ("sample", "line")] \
             != ["x", "y"] or not len(features.points):
         return
@@ -63,12 +65,13 @@ class LinesCsv(TableReader):
     states_origin = False
     name = "lines-csv"
     summary = "lines as a table headed id,line1,sample1,line2,sample2,x1,y1,z1,x2,y2,z2[,sigma]"
-    known = LINES
+    aliases = LINES
     # Other tables have x1, y1, x2, y2 too: pixels of two images, or boxes.
-    needed = (("line1",), ("sample1",), ("line2",), ("sample2",))
+    required = (("line1",), ("sample1",), ("line2",), ("sample2",))
 
     def features(self, table: Table) -> FeatureSet:
         """Return the lines that are not off; errors name file, line and column."""
+        # Lines are always control: what they check is the model itself.
         roles = table.roles()
         for row, role in enumerate(roles):
             if role in ("check", "independent"):
@@ -79,10 +82,11 @@ class LinesCsv(TableReader):
         sigma = table.sigma("sigma")
         try:
             lines = Lines(tuple(table.ids()), image, ground,
-                          None if sigma is None else sigma[:, 0], table.more)
+                          None if sigma is None else sigma[:, 0], table.attributes)
         except TermselError as error:
             raise table.placed(error) from error
         if "off" in roles:
+            # Lines have no role to be off by, so that they are left out.
             lines = lines.take([role != "off" for role in roles])
         return FeatureSet(lines=lines, crs=table.crs)
 
@@ -191,11 +195,14 @@ def table_text(crs: str, header: list[str], texts: list[list[str]], values: Floa
     becomes a blank cell; `attributes` are further columns of text.
     """
     # repr() gives the fewest digits, 17 at most, that are read back to the same number.
-    more = attributes or {}
-    rest = zip(*more.values(), strict=True) if more else [()] * len(texts)
-    rows = [",".join([*map(cell_text, row), *("" if v != v else repr(v) for v in numbers),
-                      *map(cell_text, last)])
-            for row, numbers, last in zip(texts, values.tolist(), rest, strict=True)]
+    named = attributes or {}
+    further = zip(*named.values(), strict=True) if named else [()] * len(texts)
+    rows = []
+    for row, numbers, further_cells in zip(texts, values.tolist(), further, strict=True):
+        # Only NaN differs from itself.
+        number_cells = ["" if number != number else repr(number) for number in numbers]
+        rows.append(",".join([*map(cell_text, row), *number_cells,
+                              *map(cell_text, further_cells)]))
     # WKT may span lines, a comment may not.
     declared = [f"# crs: {' '.join(crs.split())}"] if crs else []
-    return "\n".join([*declared, ",".join([*header, *map(cell_text, more)]), *rows]) + "\n"
+    return "\n".join([*declared, ",".join([*header, *map(cell_text, named)]), *rows]) + "\n"

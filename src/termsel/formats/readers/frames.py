@@ -28,16 +28,18 @@ def read_frame(frame: Any, columns: str = "", decimal: str | None = None) -> Fea
     if not records:
         raise TermselError("the table has no rows", hint="Give one row per feature.")
     cells = of_records(records, "row", _GROUND)
-    own = parse_columns(columns)
+    stated = parse_columns(columns)
     header = cells.rows[0]
+    # Only lines have two ends in the image.
     ends = {meaning: LINES[meaning] for meaning in ("line1", "sample1", "line2", "sample2")}
-    if found_in(header, ends, own) == len(ends):
-        return LinesCsv().features(table_of(None, cells, LINES, own, decimal, flat=True))
-    return points_of(table_of(None, cells, POINTS, own, decimal, flat=True), crs)
+    if found_in(header, ends, stated) == len(ends):
+        return LinesCsv().features(table_of(None, cells, LINES, stated, decimal, flat=True))
+    return points_of(table_of(None, cells, POINTS, stated, decimal, flat=True), crs)
 
 
 def _records(frame: Any) -> tuple[list[dict[str, Any]], str]:
     """Return the rows of a table, with the positions of its geometry, and its CRS."""
+    # A dict of columns: all values have a length, and are no text.
     if isinstance(frame, Mapping) and all(_is_column(column) for column in frame.values()):
         sizes = {name: len(column) for name, column in frame.items()}
         if len(set(sizes.values())) > 1:
@@ -52,18 +54,20 @@ def _records(frame: Any) -> tuple[list[dict[str, Any]], str]:
     if not hasattr(frame, "to_dict") or not hasattr(frame, "columns"):
         raise TermselError(f"features cannot be read from the type {type(frame).__name__}",
                            hint=f"Give {ACCEPTED}.")
+    # An index with a name is a column that was taken aside; without one it counts rows.
     records = (frame.reset_index() if frame.index.name else frame).to_dict("records")
     shapes = list(frame.geometry) if hasattr(frame, "geom_type") else []
     if not shapes or any(shape is None or shape.geom_type != "Point" for shape in shapes):
         return records, ""
     name = frame.geometry.name
-    # A geometry without a height leaves that to a column of heights.
-    places = ({"x": shape.x, "y": shape.y, **({"z": shape.z} if shape.has_z else {})}
-              for shape in shapes)
-    return [{**{key: value for key, value in record.items() if key != name},
-             **{_GROUND[axis]: value for axis, value in place.items()}}
-            for record, place in zip(records, places, strict=True)], \
-        "" if frame.crs is None else frame.crs.to_wkt()
+    rows = []
+    for record, shape in zip(records, shapes, strict=True):
+        row = {key: value for key, value in record.items() if key != name}
+        row |= {_GROUND["x"]: shape.x, _GROUND["y"]: shape.y}
+        if shape.has_z:  # a geometry without a height leaves that to a column of heights
+            row[_GROUND["z"]] = shape.z
+        rows.append(row)
+    return rows, "" if frame.crs is None else frame.crs.to_wkt()
 
 
 def _is_column(column: Any) -> bool:

@@ -26,11 +26,12 @@ class Feature:
     path: Path
     number: int
     properties: Mapping[str, Any]
-    parts: list[list[list[float]]]
+    vertex_lists: list[list[list[float]]]
 
-    def error(self, what: str, column: str | None = None, hint: str | None = None) -> TermselError:
+    def error(self, message: str, column: str | None = None,
+              hint: str | None = None) -> TermselError:
         """Return an error that says where the feature is."""
-        return TermselError(f"feature {self.number}: {what}", file=self.path, column=column,
+        return TermselError(f"feature {self.number}: {message}", file=self.path, column=column,
                             hint=hint)
 
     def text(self, name: str) -> str:
@@ -43,6 +44,7 @@ class Feature:
 
     def attributes(self, used: Container[str]) -> dict[str, str]:
         """Return the properties that are neither used nor lists or objects, as text.
+# Names of columns that mean something would be read as such next time.
 
         The reader takes the names in `used`, those in small letters also in capitals.
         """
@@ -75,24 +77,26 @@ def read_geojson(path: Path, kinds: Mapping[str, int]) -> tuple[list[Feature], s
     nested. Raises TermselError if this is no such collection, or a feature has another geometry.
     """
     try:
-        found = parse_json(read_text(path), "Is the file complete?")
+        collection = parse_json(read_text(path), "Is the file complete?")
     except TermselError as error:
         raise located(error, path) from error
-    if not isinstance(found, dict) or not isinstance(found.get("features"), list):
+    if not isinstance(collection, dict) or not isinstance(collection.get("features"), list):
         raise TermselError("this is not a GeoJSON FeatureCollection", file=path,
                            hint='It must have the members "type" and "features".')
-    if not found["features"]:
+    if not collection["features"]:
         raise TermselError("the collection has no features", file=path)
     features = [_feature(path, number, item, kinds)
-                for number, item in enumerate(found["features"], 1)]
-    return features, _crs(path, found.get("crs"))
+                for number, item in enumerate(collection["features"], 1)]
+    return features, _crs(path, collection.get("crs"))
 
 
 def _feature(path: Path, number: int, item: Any, kinds: Mapping[str, int]) -> Feature:
     item = item if isinstance(item, dict) else {}
+    # What is no object has no properties, and is refused by its geometry.
     properties = item.get("properties")
     geometry = item.get("geometry")
     properties = properties if isinstance(properties, dict) else {}
+    # An id beside the properties, as RFC 7946 has it, stands for one among them.
     if "id" in item:
         properties = {"id": item["id"], **properties}
     feature = Feature(path, number, properties, [])
@@ -101,14 +105,18 @@ def _feature(path: Path, number: int, item: Any, kinds: Mapping[str, int]) -> Fe
     if kind not in kinds:
         raise feature.error(f"its geometry is {kind}, expected " + " or ".join(kinds), "geometry")
     coordinates: Any = geometry.get("coordinates")
+    # A point is a list of one list of one vertex.
     for _ in range(2 - kinds[kind]):
         coordinates = [coordinates]
     if not numbers_at(coordinates, 2, (2, 3)):
         raise feature.error("its coordinates are not those of a " + kind, "coordinates",
                             "Vertices are lists of two or three finite numbers.")
     # As floats, since whole numbers beyond 64 bits are no numbers of numpy's.
-    return Feature(path, number, properties, [
-        [[*map(float, place), nan][:3] for place in part] for part in coordinates])
+    vertex_lists = []
+    for positions in coordinates:
+        # A vertex without a height gets NaN for one.
+        vertex_lists.append([[*map(float, position), nan][:3] for position in positions])
+    return Feature(path, number, properties, vertex_lists)
 
 
 def numbers_at(value: Any, depth: int, lengths: tuple[int, ...]) -> bool:
@@ -116,7 +124,7 @@ def numbers_at(value: Any, depth: int, lengths: tuple[int, ...]) -> bool:
     if not isinstance(value, list):
         return False
     if depth:
-        return bool(value) and all(numbers_at(part, depth - 1, lengths) for part in value)
+        return bool(value) and all(numbers_at(item, depth - 1, lengths) for item in value)
     return len(value) in lengths and all(
         isinstance(number, int | float) and not isinstance(number, bool) and _finite(number)
         for number in value)
@@ -131,6 +139,7 @@ def _finite(number: float) -> bool:
 
 def _crs(path: Path, member: Any) -> str:
     try:
+        # "crs" is not in RFC 7946; without one coordinates are WGS 84.
         name = member["properties"]["name"]
     except (TypeError, KeyError):
         return ""

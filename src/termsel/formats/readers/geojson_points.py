@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import chain
 from math import nan
 from pathlib import Path
 from typing import Any
@@ -43,6 +44,7 @@ class GeoJsonPoints(Reader):
         """Return the points; errors name file, feature and property."""
         features, crs = read_geojson(path, POINT_KINDS)
         table = _table(path, features, self.options)
+        # Without heights the CRS must not claim a meaning of heights.
         flat = "z" not in table.columns or not any(table.columns["z"])
         return points_of(table, crs or ("EPSG:4326" if flat else "EPSG:4979"))
 
@@ -70,31 +72,34 @@ def _table(path: Path, features: list[Feature], options: Mapping[str, Any]) -> T
     names = [feature.text("filename") for feature in features]
     image = image_of(path, names, options["image_name"], "image_name=NAME")
     features = [feature for feature, name in zip(features, names, strict=True) if name == image]
-    own = parse_columns(options["columns"])
-    has_ji, has_id = (any(name in one.properties for one in features) for name in ("ji", "id"))
+    stated = parse_columns(options["columns"])
+    has_ji = any("ji" in feature.properties for feature in features)
+    has_id = any("id" in feature.properties for feature in features)
     records = []
     for feature in features:
         record = {name: value for name, value in feature.properties.items()
-                  if name not in _USED or name in own.values()}
-        if has_ji and not {"line", "sample"} & own.keys():
+                  if name not in _USED or name in stated.values()}
+        # Columns that the user has named come before those of Orthority.
+        if has_ji and not {"line", "sample"} & stated.keys():
             record |= dict(zip(_OF_JI.values(), _ji(feature), strict=True))
         if feature.properties.get("sigma_px") is not None:
             record |= dict(zip(_OF_SIGMA.values(), _sigma(feature), strict=True))
-        if sum(map(len, feature.parts)) != 1:
+        if sum(map(len, feature.vertex_lists)) != 1:
             raise feature.error("it has several vertices, expected one point", "geometry")
         # A geometry without a height leaves that to a column of heights.
-        record |= {name: value for name, value in zip(
-            _GROUND.values(), feature.parts[0][0], strict=True) if value == value}
+        vertex = feature.vertex_lists[0][0]
+        record |= {name: value for name, value in zip(_GROUND.values(), vertex, strict=True)
+                   if value == value}
         if has_id:
             record["id"] = feature.text("id") or f"P{feature.number}"
         records.append(record)
-    names = list(dict.fromkeys(name for record in records for name in record))
-    if _GROUND["z"] not in names and "z" not in own and not matches(names, POINTS)["z"]:
+    names = list(dict.fromkeys(chain.from_iterable(records)))
+    if _GROUND["z"] not in names and "z" not in stated and not matches(names, POINTS)["z"]:
         for record in records:  # heights that nothing tells are blank
             record[_GROUND["z"]] = nan
     numbers = [feature.number for feature in features]
     cells = of_records(records, "feature", {**_GROUND, **_OF_JI, **_OF_SIGMA}, numbers)
-    return table_of(path, cells, POINTS, own, options["decimal"])
+    return table_of(path, cells, POINTS, stated, options["decimal"])
 
 
 def _ji(feature: Feature) -> list[float]:
@@ -112,4 +117,4 @@ def _sigma(feature: Feature) -> list[float]:
     if not numbers_at(pair, 0, (2,)):
         raise feature.error("its standard deviation is missing or not a number", "sigma_px",
                             "Give it for every point, or for none.")
-    return [float(one) for one in pair]
+    return [float(number) for number in pair]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -76,9 +77,10 @@ def _joined(path: Path, features: list[Feature], crs: str, image_lines: str | No
             join: str) -> FeatureSet:
     """Return ground lines with their image lines, pieces of one feature under its id."""
     if not any(join in feature.properties for feature in features):
-        known = dict.fromkeys(name for feature in features for name in feature.properties)
+        names = list(dict.fromkeys(chain.from_iterable(
+            feature.properties for feature in features)))
         raise TermselError(f"the ground lines have no {join!r}", file=path, column=join,
-                           hint=f"They have {', '.join(known) or 'no properties'}. Choose one with "
+                           hint=f"They have {', '.join(names) or 'no properties'}. Choose one with "
                                 "--set join=NAME.")
     ground: dict[str, list[FloatArray]] = {}
     described: dict[str, list[dict[str, str]]] = {}
@@ -88,11 +90,14 @@ def _joined(path: Path, features: list[Feature], crs: str, image_lines: str | No
         if image_lines is None:
             if not name:
                 raise feature.error("its id is blank", join, "Give every line an id.")
+            # A feature of several lines has a piece of the image line for each.
             image.setdefault(name, []).extend(_from_ji(feature))
         if name in image:
             ground.setdefault(name, []).extend(
-                _distinct(np.array(part)) for part in feature.parts)
+                _distinct(np.array(vertices)) for vertices in feature.vertex_lists)
             described.setdefault(name, []).append(feature.attributes({join, "ji", "sigma"}))
+    # An image line without ground is a mistake; a ground line without an image line was not
+    # measured.
     missing = [name for name in image if name not in ground]
     if missing:
         raise TermselError(f"{len(missing)} of {len(image)} image lines have no ground line: "
@@ -103,18 +108,20 @@ def _joined(path: Path, features: list[Feature], crs: str, image_lines: str | No
         log.info("Lines: %d of %s are not used, as they were not measured in the "
                  "image.", idle, path.name)
     ids: list[str] = []
-    pieces: list[tuple[FloatArray, FloatArray]] = []
+    images: list[FloatArray] = []
+    grounds: list[FloatArray] = []
     for name, measured in image.items():
         try:
-            own = list(_pieces(name, measured, ground[name]))
+            for image_piece, ground_piece in _pieces(name, measured, ground[name]):
+                ids.append(name)
+                images.append(image_piece)
+                grounds.append(ground_piece)
         except TermselError as error:
             raise located(error, path) from error
-        ids += [name] * len(own)
-        pieces += own
+    # Pieces of one feature have one description, where theirs agree.
     shared = {name: alike(rows) for name, rows in described.items()}
     try:
-        lines = Lines(tuple(ids), np.stack([one for one, _ in pieces]),
-                      np.stack([other for _, other in pieces]),
+        lines = Lines(tuple(ids), np.stack(images), np.stack(grounds),
                       attributes=columns_of([shared[name] for name in ids]))
     except TermselError as error:
         raise located(error, path) from error
@@ -124,19 +131,21 @@ def _joined(path: Path, features: list[Feature], crs: str, image_lines: str | No
 def _pieces(name: str, image: list[FloatArray], ground: list[FloatArray],
             ) -> Iterable[tuple[FloatArray, FloatArray]]:
     """Yield image and ground of the pieces of one feature."""
-    if any(len(part) < 2 for part in ground):
+    if any(len(vertices) < 2 for vertices in ground):
         raise TermselError(f"line {name!r} has zero length on the ground", ids=[name],
                            hint="A control line needs two different points.")
     if len(image) == 1:
         # All vertices lie on a single image line, whatever their number. They are taken in pairs,
         # each vertex once; an odd last one is paired with the vertex before it.
-        for part in ground:
-            for start in range(0, len(part), 2):
-                start = min(start, len(part) - 2)
-                yield image[0], part[start:start + 2]
+        for vertices in ground:
+            for start in range(0, len(vertices), 2):
+                start = min(start, len(vertices) - 2)
+                yield image[0], vertices[start:start + 2]
         return
     # Several image lines are those of the ground segments, in order.
-    segments = [part[i:i + 2] for part in ground for i in range(len(part) - 1)]
+    segments = []
+    for vertices in ground:
+        segments += [vertices[i:i + 2] for i in range(len(vertices) - 1)]
     if len(segments) != len(image):
         raise TermselError(
             f"line {name!r} has {len(image)} pieces in the image and {len(segments)} on the ground",
@@ -145,10 +154,11 @@ def _pieces(name: str, image: list[FloatArray], ground: list[FloatArray],
     yield from zip(image, segments, strict=True)
 
 
-def _distinct(part: FloatArray) -> FloatArray:
+def _distinct(vertices: FloatArray) -> FloatArray:
     """Return vertices without repetitions of the previous one."""
-    moved = (part[1:, :2] != part[:-1, :2]).any(axis=1)
-    return np.asarray(part[np.concatenate([[True], moved])])
+    # A vertex that is there twice would give a segment without a direction.
+    moved = (vertices[1:, :2] != vertices[:-1, :2]).any(axis=1)
+    return np.asarray(vertices[np.concatenate([[True], moved])])
 
 
 def _read_image_lines(path: Path) -> dict[str, list[FloatArray]]:
@@ -169,5 +179,5 @@ def _from_ji(feature: Feature) -> list[FloatArray]:
         raise feature.error(
             "it has no image line", "ji", "Give a table of image lines with --image-lines FILE, or "
             "the property ji as a list of [column, row].")
-    along = np.array(ji, dtype=np.float64)[:, ::-1]
-    return [along[i:i + 2] for i in range(len(along) - 1)]
+    vertices = np.array(ji, dtype=np.float64)[:, ::-1]
+    return [vertices[i:i + 2] for i in range(len(vertices) - 1)]

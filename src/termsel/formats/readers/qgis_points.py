@@ -37,7 +37,7 @@ class QgisPoints(TableReader):
 
     name = "qgis-points"
     summary = "QGIS .points: a header mapX,mapY,sourceX,sourceY,enable, or pixelX,pixelY"
-    known = _COLUMNS
+    aliases = _COLUMNS
     flat = False
     declared_options = (
         Option("raster", None, "The image in which the points were measured, if it was already "
@@ -58,6 +58,7 @@ class QgisPoints(TableReader):
     def _image(self, table: Table) -> tuple[FloatArray, tuple[int, int] | None]:
         """Return line and sample, and the size of the image where it is known."""
         source = table.stack("source_x", "source_y")
+        # Pixel edges are whole numbers and y points up: line = -y - 1/2, sample = x - 1/2.
         pixels = source[:, ::-1] * [-1.0, 1.0] - 0.5
         if self.options["raster"] is None:
             _refuse_layer(table, source)
@@ -66,6 +67,7 @@ class QgisPoints(TableReader):
             if not raster.transform.is_identity:
                 pixels = positions(raster, *source.T)
             rows, columns = raster.shape
+        # Within an image of the same size around it: points a little outside occur.
         near = (np.abs(pixels - [rows / 2, columns / 2]) <= [rows, columns]).all(axis=1)
         if not near.any():
             raise TermselError(f"no point lies in the image {self.options['raster']}",
@@ -79,6 +81,7 @@ def _refuse_layer(table: Table, source: FloatArray) -> None:
     with np.errstate(over="ignore"):  # Points refuses numbers that are so large
         extent = np.ptp(source, axis=0)
         far = np.abs(source).min(axis=0) > _FAR * np.maximum(extent, _SMALL)
+    # Rows of pixels are negative in these files.
     upwards = (source[:, 1] > 0).mean() > 0.5
     if (upwards or (len(source) > 1 and (extent < _SMALL).all())
             or far.all()):

@@ -26,8 +26,8 @@ class Table:
     """The cells of a file, by the meaning of their columns.
 
     `names` holds the header's text for each meaning, `lines` the line of the file each row
-    begins on or, where `part` is another word, its number; `more` the cells of the columns without
-    a meaning; `decimal` what the user says of the decimal sign.
+    begins on or, where `row_name` is another word, its number; `attributes` the cells of the
+    columns without a meaning; `signs` the decimal sign of each column.
     """
 
     path: Path | None
@@ -35,27 +35,29 @@ class Table:
     names: Mapping[str, str]
     columns: Mapping[str, Sequence[str]]
     lines: Sequence[int]
-    more: Attributes = field(default_factory=dict)
-    part: str = "line"
+    attributes: Attributes = field(default_factory=dict)
+    row_name: str = "line"
     signs: Mapping[str, str] = field(default_factory=dict)
 
-    def error(self, what: str, row: int, meaning: str, hint: str | None = None) -> TermselError:
+    def error(self, message: str, row: int, meaning: str, hint: str | None = None) -> TermselError:
         """Return an error with the place of a cell."""
-        return self.at(TermselError(what, hint=hint, column=self.names[meaning]), row)
+        return self.at(TermselError(message, hint=hint, column=self.names[meaning]), row)
 
     def at(self, error: TermselError, row: int | None) -> TermselError:
         """Return an error with the place of a row."""
-        if row is not None and self.part != "line":
-            error.what = f"{self.part} {self.lines[row]}: {error.what}"
+        # Records have no line in a file, so that the message counts them.
+        if row is not None and self.row_name != "line":
+            error.what = f"{self.row_name} {self.lines[row]}: {error.what}"
             row = None
         return located(error, self.path, None if row is None else self.lines[row])
 
     def take(self, rows: Sequence[int]) -> Table:
         """Return the table of some rows."""
-        return replace(self, lines=[self.lines[row] for row in rows],
-                       columns={meaning: [cells[row] for row in rows]
-                                for meaning, cells in self.columns.items()},
-                       more=rows_at(self.more, np.asarray(rows, dtype=np.intp)))
+        columns = {}
+        for meaning, cells in self.columns.items():
+            columns[meaning] = [cells[row] for row in rows]
+        return replace(self, lines=[self.lines[row] for row in rows], columns=columns,
+                       attributes=rows_at(self.attributes, np.asarray(rows, dtype=np.intp)))
 
     def placed(self, error: TermselError) -> TermselError:
         """Return `error` with the line of the first feature it names, and the name of the column.
@@ -63,6 +65,7 @@ class Table:
         The error has the meaning of a column, if any.
         """
         rows = [row for row, name in enumerate(self.ids()) if name in error.ids[:1]]
+        # The error names the meaning, such as "x"; the user knows the column.
         error.column = self.names.get(str(error.column or ""))
         return self.at(error, rows[0] if len(rows) == 1 else None)
 
@@ -70,7 +73,8 @@ class Table:
         """Return the ids, P1, P2, ... where the format has none."""
         if "id" not in self.columns:
             return [f"P{number}" for number in (
-                range(1, len(self.lines) + 1) if self.part == "line" else self.lines)]
+                range(1, len(self.lines) + 1) if self.row_name == "line" else self.lines)]
+        # Spreadsheets guard text against being read as a formula; that is taken off again.
         names = [unguarded(cell.strip()) for cell in self.columns["id"]]
         for row, name in enumerate(names):
             if wrong := refused(name):
@@ -84,27 +88,28 @@ class Table:
         ids = self.ids()
         first: dict[str, int] = {}
         for row, name in enumerate(ids):
+            # Ids that the program made up cannot be twice.
             if first.setdefault(name, row) != row and "id" in self.names:
-                raise self.error(f"id {name!r} is already used on {self.part} "
+                raise self.error(f"id {name!r} is already used on {self.row_name} "
                                  f"{self.lines[first[name]]}", row, "id",
                                  "Give every point a different id.")
-        more = self.more
+        attributes = self.attributes
         try:
             if is_averaging():
-                kept, image, sigma = averaged(ids, image, ground, sigma, roles)
-                ids = [ids[row] for row in kept]
-                roles = [roles[row] for row in kept]
-                ground = ground[kept]
-                more = rows_at(more, kept)
-            return Points(tuple(ids), image, ground, sigma, tuple(roles), more)
+                first_rows, image, sigma = averaged(ids, image, ground, sigma, roles)
+                ids = [ids[row] for row in first_rows]
+                roles = [roles[row] for row in first_rows]
+                ground = ground[first_rows]
+                attributes = rows_at(attributes, first_rows)
+            return Points(tuple(ids), image, ground, sigma, tuple(roles), attributes)
         except TermselError as error:
             raise self.placed(error) from error
 
     def roles(self) -> list[str]:
         """Return the role of each row, "off" where it is not enabled."""
         cells = self.columns.get("role", [""] * len(self.lines))
-        known = {cell: cell.strip().lower() for cell in set(cells)}  # few, whatever the rows
-        for cell, role in known.items():
+        role_of_cell = {cell: cell.strip().lower() for cell in set(cells)}  # few, whatever the rows
+        for cell, role in role_of_cell.items():
             if role not in ("", *ROLES):
                 raise self.error(f"unknown role {cell.strip()!r}", cells.index(cell), "role",
                                  f"Roles are {', '.join(ROLES)}, or blank.")
@@ -114,7 +119,7 @@ class Table:
             if on is None:
                 raise self.error(f"{cell.strip()!r} is neither true nor false",
                                  flags.index(cell), "enabled", "Write 1 or 0.")
-        roles = [known[cell] for cell in cells]
+        roles = [role_of_cell[cell] for cell in cells]
         for row, cell in enumerate(flags):
             if not enabled[cell]:
                 roles[row] = "off"
@@ -127,6 +132,7 @@ class Table:
         sigma = self.stack(*meanings, may_be_blank=True)
         blank = np.isnan(sigma)
         if blank.all():
+            # A column of blanks is none.
             return None
         if blank.any():
             row, axis = (int(i) for i in np.argwhere(blank)[0])
@@ -141,10 +147,12 @@ class Table:
                                 for meaning in meanings])
 
     def _numbers(self, meaning: str, may_be_blank: bool) -> FloatArray:
+        # A table without heights has none for any row.
         if meaning not in self.columns and meaning[0] == "z":
             return np.full(len(self.lines), np.nan)
         sign = self.signs.get(meaning, POINT)
         try:
+            # x and y may be degrees, minutes and seconds.
             return read_numbers(self.columns[meaning], sign, may_be_blank=may_be_blank,
                                 angle=meaning[0] if meaning[0] in "xy" else "")
         except BadCell as error:

@@ -60,67 +60,94 @@ _UNITS = re.compile(r"(deg|degrees?|m|met(re|er)s?)", re.IGNORECASE)
 
 
 def sniff_table(path: Path, head: bytes, aliases: Aliases, columns: str = "",
-                needed: Sequence[str] = ()) -> bool:
-    """Return True if a header names at least three columns of numbers, and all `needed`."""
-    own = parse_columns(columns)
-    rows = sniffed(path, head, aliases, own)
+                required: Sequence[str] = ()) -> bool:
+    """Return True if a header names at least three columns of numbers, and all `required`."""
+    stated = parse_columns(columns)
+    rows = sniffed(path, head, aliases, stated)
     if not rows:
         return False
-    header = rows[header_row(rows, aliases, own)]
-    there = declared(header, own)
+    header = rows[header_row(rows, aliases, stated)]
+    stated_columns = declared(header, stated)
     by_name = matches(header, aliases)
-    return (found_in(header, aliases, own) >= 3
-            and all(meaning in there or by_name[meaning] for meaning in needed))
+    return (found_in(header, aliases, stated) >= 3
+            and all(meaning in stated_columns or by_name[meaning] for meaning in required))
 
 
 def _columns(path: Path | None, line: int | None, header: Sequence[str], rows: list[list[str]],
-             aliases: Aliases, chosen: Mapping[str, int], fixed: Collection[int], *,
+             aliases: Aliases, stated: Mapping[str, int], fixed: Collection[int], *,
              flat: bool) -> dict[str, int]:
-    """Return the column of each meaning; of heights none if `flat` and all are missing."""
-    here = f"The columns here are: {', '.join(cell.strip() for cell in header)}."
-    found: dict[str, int] = {}
+    """Return the column of each meaning; of heights none if `flat` and all are missing.
+
+    Of several columns of one meaning that never have a value in the same row, the cells are put
+    together in the first.
+    """
+    columns: dict[str, int] = {}
     by_name = matches(header, aliases)
-    sigma = any(by_name.get(meaning) or meaning in chosen for meaning in ("sigma_line",
-                                                                          "sigma_sample"))
+
+    def is_there(meaning: str) -> bool:
+        return bool(by_name.get(meaning)) or meaning in stated
+
+    has_sigma = is_there("sigma_line") or is_there("sigma_sample")
     heights = [meaning for meaning in aliases if meaning[0] == "z"]
+    without_heights = flat and not any(by_name[meaning] for meaning in heights)
     for meaning in aliases:
-        places = [i for i in by_name[meaning] if i not in chosen.values()]
-        if meaning in chosen:
-            found[meaning] = chosen[meaning]
-        elif len(places) > 1 and meaning != "id" and not _complement(rows, places):
-            named = " and ".join(repr(header[i].strip()) for i in places)
-            raise with_advice(
-                TermselError(f"columns {named} both mean {meaning}", file=path, line=line,
-                             column=header[places[1]].strip(),
-                             hint="Rename or remove all but one of them."),
-                header, rows, {**found, meaning: places[0]}, aliases, fixed)
-        elif places:
-            found[meaning] = places[0]
-        elif not ((meaning in OPTIONAL and not (sigma and meaning.startswith("sigma")))
-                  or (meaning[0] == "z" and flat and not any(by_name[one] for one in heights))):
-            blank = " Its cells may be blank." if meaning[0] == "z" else ""
-            names = [name for name in aliases[meaning] if name in TAKEN] or aliases[meaning]
-            raise with_advice(
-                TermselError(f"there is no column for {meaning}", file=path, line=line,
-                             column=meaning, hint=f"{here} Accepted names: {', '.join(names)}, "
-                                                  f"and others.{blank}"),
-                header, rows, {**{one: columns[-1] for one, columns in by_name.items() if columns},
-                               **chosen}, aliases, fixed)
+        candidates = [i for i in by_name[meaning] if i not in stated.values()]
+        # Of sigma_line and sigma_sample, each needs the other.
+        needs_other_sigma = has_sigma and meaning.startswith("sigma")
+        may_be_missing = (meaning in OPTIONAL and not needs_other_sigma) \
+            or (meaning in heights and without_heights)
+        if meaning in stated:
+            columns[meaning] = stated[meaning]
+        elif candidates:
+            if len(candidates) > 1 and meaning != "id":
+                if not _exclude_each_other(rows, candidates):
+                    error = _ambiguous(path, line, header, meaning, candidates)
+                    raise with_advice(error, header, rows, {**columns, meaning: candidates[0]},
+                                      aliases, fixed)
+                _merge_into_first(rows, candidates)
+            columns[meaning] = candidates[0]
+        elif not may_be_missing:
+            last_by_name = {name: indices[-1] for name, indices in by_name.items() if indices}
+            raise with_advice(_missing(path, line, header, meaning, aliases), header, rows,
+                              {**last_by_name, **stated}, aliases, fixed)
     # Said once the table can be read: the columns of one that cannot are looked for again.
-    if flat and not any(by_name[meaning] or meaning in chosen for meaning in heights):
+    if flat and not any(is_there(meaning) for meaning in heights):
         log.info("Note: %s has no column for %s, so its heights are unknown. Accepted names: %s.",
                  path or "the table", " and ".join(heights), ", ".join(aliases[heights[0]]))
-    return found
+    return columns
 
 
-def _complement(rows: list[list[str]], places: Sequence[int]) -> bool:
-    """Put cells of several columns into the first of them, if no row has two; say whether."""
-    if not rows or min(map(len, rows)) <= max(places) or any(
-            sum(bool(row[i].strip()) for i in places) > 1 for row in rows):
+def _ambiguous(path: Path | None, line: int | None, header: Sequence[str], meaning: str,
+               candidates: Sequence[int]) -> TermselError:
+    """Return the error for several columns of one meaning."""
+    names = " and ".join(repr(header[i].strip()) for i in candidates)
+    return TermselError(f"columns {names} both mean {meaning}", file=path, line=line,
+                        column=header[candidates[1]].strip(),
+                        hint="Rename or remove all but one of them.")
+
+
+def _missing(path: Path | None, line: int | None, header: Sequence[str], meaning: str,
+             aliases: Aliases) -> TermselError:
+    """Return the error for a meaning that no column has."""
+    names = [name for name in aliases[meaning] if name in TAKEN] or aliases[meaning]
+    blank = " Its cells may be blank." if meaning[0] == "z" else ""
+    return TermselError(
+        f"there is no column for {meaning}", file=path, line=line, column=meaning,
+        hint=f"The columns here are: {', '.join(cell.strip() for cell in header)}. "
+             f"Accepted names: {', '.join(names)}, and others.{blank}")
+
+
+def _exclude_each_other(rows: Sequence[Sequence[str]], columns: Sequence[int]) -> bool:
+    """Return whether no row has values in two of the columns."""
+    if not rows or min(map(len, rows)) <= max(columns):
         return False
+    return all(sum(bool(row[i].strip()) for i in columns) <= 1 for row in rows)
+
+
+def _merge_into_first(rows: list[list[str]], columns: Sequence[int]) -> None:
+    """Put the cells of several columns, of which one a row has a value, into the first of them."""
     for row in rows:
-        row[places[0]] = "".join(row[i] for i in places)
-    return True
+        row[columns[0]] = "".join(row[i] for i in columns)
 
 
 def _declared_crs(path: Path | None, comments: Mapping[int, str]) -> str:
@@ -154,15 +181,16 @@ def read_table(path: Path, aliases: Aliases, *, columns: str = "", decimal: str 
     if `flat`, the heights, meanings that begin with z, may all be missing: they are then blank,
     and a note says so. Raises TermselError if the file is not such a table.
     """
-    own = parse_columns(columns)
-    return table_of(path, read_cells(path, aliases, own, layer), aliases, own, decimal, flat=flat)
+    stated = parse_columns(columns)
+    cells = read_cells(path, aliases, stated, layer)
+    return table_of(path, cells, aliases, stated, decimal, flat=flat)
 
 
-def table_of(path: Path | None, cells: Cells, aliases: Aliases, own: Mapping[str, str],
+def table_of(path: Path | None, cells: Cells, aliases: Aliases, stated: Mapping[str, str],
              decimal: str | None = None, *, flat: bool = False) -> Table:
     """Return the table of rows of cells, as `read_table`; `path` is for messages.
 
-    `own` has names or numbers of columns by meaning, as the user says.
+    `stated` has names or numbers of columns by meaning, as the user says.
     """
     for note in cells.notes:
         log.info("Note: %s.", note)
@@ -170,18 +198,20 @@ def table_of(path: Path | None, cells: Cells, aliases: Aliases, own: Mapping[str
     if not cells.rows:
         raise TermselError("the file has no table", file=path,
                            hint="It must begin with a header that names the columns.")
-    own = {meaning: name for meaning, name in own.items() if meaning in aliases}
-    cells = without_header(cells, own)
-    first = 0 if cells.part != "line" else header_row(cells.rows, aliases, own)
-    header, rows, lines = cells.rows[first], cells.rows[first + 1:], cells.lines[first + 1:]
+    stated = {meaning: name for meaning, name in stated.items() if meaning in aliases}
+    cells = without_header(cells, stated)
+    first = 0 if cells.row_name != "line" else header_row(cells.rows, aliases, stated)
+    header = cells.rows[first]
+    rows = cells.rows[first + 1:]
+    lines = cells.lines[first + 1:]
     line = cells.lines[first] or None
     if first:
         log.info("Note: the header of %s is taken from line %s, below a title.", path, line)
-    chosen = {**cells.fixed, **declared(header, own)}
-    for meaning in own.keys() - declared(header, own).keys():
-        raise TermselError(f"there is no column {own[meaning]!r} for {meaning}", file=path,
+    given_columns = {**cells.fixed, **declared(header, stated)}
+    for meaning in stated.keys() - declared(header, stated).keys():
+        raise TermselError(f"there is no column {stated[meaning]!r} for {meaning}", file=path,
                            line=line, hint=f"The columns here are: {', '.join(header)}.")
-    found = _columns(path, line, header, rows, aliases, chosen,
+    column_of = _columns(path, line, header, rows, aliases, given_columns,
                      cells.fixed.values(), flat=flat)
     width = len(header)
     if rows and set(map(len, rows)) != {width}:
@@ -194,29 +224,33 @@ def table_of(path: Path | None, cells: Cells, aliases: Aliases, own: Mapping[str
             raise TermselError(f"the row has {len(rows[i])} cells, but the header has {width}",
                                file=path, line=lines[i],
                                hint=f"Every row needs one cell for each column.{comma}")
-    numbers = [i for meaning, i in found.items() if meaning not in USE]
+    numbers = [i for meaning, i in column_of.items() if meaning not in USE]
     if rows and not any(any(map(str.isdigit, rows[0][i])) for i in numbers) \
             and any(rows[0][i].strip() for i in numbers) and len(rows) > 1:
         log.info("Note: line %s of %s, below the header, holds no numbers and is left out: %s.",
                  lines[0], path or "the table", " ".join(filter(None, rows[0])))
-        rows, lines = rows[1:], lines[1:]
+        rows = rows[1:]
+        lines = lines[1:]
     if not rows:
         raise TermselError("there are no rows below the header", file=path, line=line,
                            hint="Add one row per feature.")
-    table = Table(path, crs, {meaning: header[i].strip() for meaning, i in found.items()},
-                  {meaning: [row[i] for row in rows] for meaning, i in found.items()}, lines,
-                  part=cells.part)
+    column_names = {meaning: header[i].strip() for meaning, i in column_of.items()}
+    columns = {}
+    for meaning, i in column_of.items():
+        columns[meaning] = [row[i] for row in rows]
+    table = Table(path, crs, column_names, columns, lines, row_name=cells.row_name)
     signs = _signs(table, decimal, points_only=cells.delimiter == ",")
-    if "id" in aliases and "id" not in found:
+    if "id" in aliases and "id" not in column_of:
         log.info("Note: %s has no column of ids, so its rows are called P1, P2, ... in order.",
                  path or "the table")
-    more = {name: [unguarded(row[i].strip()) for row in rows]
-            for name, i in _further(header, {*found.values(), *cells.fixed.values()}).items()}
-    if COMMA in signs.values():
-        more = {name: [text.replace(COMMA, POINT) if _DECIMAL_COMMA.fullmatch(text) else text
-                       for text in texts] for name, texts in more.items()}
-    return replace(table, signs=signs,
-                   more={name: text_array(texts) for name, texts in more.items()})
+    attributes = {}
+    for name, i in _further(header, {*column_of.values(), *cells.fixed.values()}).items():
+        texts = [unguarded(row[i].strip()) for row in rows]
+        if COMMA in signs.values():
+            texts = [text.replace(COMMA, POINT) if _DECIMAL_COMMA.fullmatch(text) else text
+                     for text in texts]
+        attributes[name] = text_array(texts)
+    return replace(table, signs=signs, attributes=attributes)
 
 
 def _further(header: Sequence[str], used: Collection[int]) -> dict[str, int]:
@@ -232,9 +266,9 @@ def _further(header: Sequence[str], used: Collection[int]) -> dict[str, int]:
 def _signs(table: Table, decimal: str | None, *, points_only: bool) -> dict[str, str]:
     """Return the decimal sign of each column of numbers, and say what was decided."""
     columns = {meaning: cells for meaning, cells in table.columns.items() if meaning not in USE}
-    asked = {"comma": COMMA, "point": POINT}.get(decimal or "", "")
+    stated_sign = {"comma": COMMA, "point": POINT}.get(decimal or "", "")
     try:
-        signs, resolved = decimal_signs(columns, asked, points_only=points_only)
+        signs, resolved = decimal_signs(columns, stated_sign, points_only=points_only)
     except BadCell as error:
         raise table.error(error.what, error.row, error.column, error.hint) from None
     for meaning, sign in signs.items():
@@ -246,10 +280,10 @@ def _signs(table: Table, decimal: str | None, *, points_only: bool) -> dict[str,
                 "other column decides it", row, meaning, "State the decimal sign: --set "
                                                          "decimal=comma or decimal=point.")
     if resolved:
-        word = "comma" if signs[resolved[0]] == COMMA else "point"
+        sign_name = "comma" if signs[resolved[0]] == COMMA else "point"
         log.info("Note: the decimal sign of %s is taken to be a %s, as %s; the other sign "
-                 "separates thousands in the columns %s.", table.path or "the table", word,
-                 "you say" if asked else "in its other columns",
+                 "separates thousands in the columns %s.", table.path or "the table", sign_name,
+                 "you say" if stated_sign else "in its other columns",
                  ", ".join(table.names[meaning] for meaning in resolved))
     return signs
 
@@ -260,15 +294,15 @@ class TableReader(Reader):
     One group of the meanings in `needed` must be there; if `flat`, the heights may all be missing.
     """
 
-    known: ClassVar[Aliases]
-    needed: ClassVar[tuple[tuple[str, ...], ...]] = ((),)
+    aliases: ClassVar[Aliases]
+    required: ClassVar[tuple[tuple[str, ...], ...]] = ((),)
     flat: ClassVar[bool] = True
     declared_options: ClassVar[tuple[Option, ...]] = COLUMNS
 
     def sniff(self, path: Path, head: bytes) -> bool:
         """Return True if a header names at least three columns of the format."""
-        return any(sniff_table(path, head, self.known, self.options.get("columns", ""), group)
-                   for group in self.needed)
+        return any(sniff_table(path, head, self.aliases, self.options.get("columns", ""), group)
+                   for group in self.required)
 
     def read(self, path: Path) -> FeatureSet:
         """Return the features of a table; errors name file, line and column."""
@@ -276,7 +310,7 @@ class TableReader(Reader):
 
     def table(self, path: Path) -> Table:
         """Return the cells of a file by their meaning."""
-        return read_table(path, self.known, flat=self.flat, **{
+        return read_table(path, self.aliases, flat=self.flat, **{
             option.name: self.options[option.name] for option in COLUMNS
             if option.name in self.options})
 

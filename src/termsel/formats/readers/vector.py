@@ -121,10 +121,10 @@ def _turn_off_drivers() -> None:
     """Leave GDAL, of which this process has its own, the drivers that may open vector files."""
     from pyogrio import core, list_drivers, set_gdal_config_options
 
-    others = [name for name in list_drivers() if name not in (*vector_drivers(), *WORKING_DRIVERS)]
-    set_gdal_config_options({**gdal_options(), "GDAL_SKIP": ",".join(others) or None,
+    refused = [name for name in list_drivers() if name not in (*vector_drivers(), *WORKING_DRIVERS)]
+    set_gdal_config_options({**gdal_options(), "GDAL_SKIP": ",".join(refused) or None,
                              "OGR_SKIP": None})
-    if others:
+    if refused:
         core._register_drivers()
 
 
@@ -138,19 +138,19 @@ def _linked(path: Path, folder: Path) -> Path:
     if path.suffix.lower() not in _SINGLE_FILES:
         files += [file for file in path.parent.glob(f"{glob.escape(path.stem)}.*") if file != path]
     for file in files:
-        place = name if file == path else name.with_suffix(file.suffix)
+        link = name if file == path else name.with_suffix(file.suffix)
         if not file.is_file():
             require_regular(file, path)
             continue
         if _is_wal(file):  # SQLite would write files next to it, wherever links lead
-            shutil.copy(file, place)
+            shutil.copy(file, link)
             continue
         try:
-            place.symlink_to(file.absolute())
+            link.symlink_to(file.absolute())
         except FileExistsError:
             continue
         except OSError:  # links need a permission on some systems
-            shutil.copy(file, place)
+            shutil.copy(file, link)
     return name
 
 
@@ -165,9 +165,9 @@ def _refuse_queries(path: Path) -> None:
     with path.open("rb") as file:
         if file.read(16) != b"SQLite format 3\0":
             return
-    place = f"file:{quote(str(path.absolute()))}?mode=ro&immutable=1"
+    address = f"file:{quote(str(path.absolute()))}?mode=ro&immutable=1"
     try:
-        with closing(sqlite3.connect(place, uri=True)) as database:
+        with closing(sqlite3.connect(address, uri=True)) as database:
             virtual = [str(sql) for sql, in database.execute(
                 "SELECT sql FROM sqlite_master WHERE type = 'table' AND rootpage = 0")]
     except sqlite3.Error as error:
@@ -183,10 +183,10 @@ def _foreign(path: Path) -> TermselError:
     """Return the error for a file of a driver that is off."""
     with path.open("rb") as file:
         name = foreign_format(file.read(4096))
-    what = f"this is of the format {name}, which termsel does not open" if name else \
+    reason = f"this is of the format {name}, which termsel does not open" if name else \
         "this is no vector file of a format that termsel opens"
     allowing = f" {DRIVER_HINT.format(name=name)}" if name else ""
-    return TermselError(what, file=path, hint=f"Convert it: ogr2ogr lines.gpkg FILE.{allowing}")
+    return TermselError(reason, file=path, hint=f"Convert it: ogr2ogr lines.gpkg FILE.{allowing}")
 
 
 def _unreadable(path: Path, error: Exception) -> TermselError:
@@ -214,8 +214,9 @@ def read_layer(path: Path, layer: str | None, kinds: Mapping[str, int],
         kind = "missing" if shape is None or shape.is_empty else shape.geom_type
         if kind not in kinds:
             raise feature.error(f"its geometry is {kind}, expected " + " or ".join(kinds))
-        parts = [get_coordinates(part, include_z=True).tolist() for part in get_parts(shape)]
-        features.append(Feature(path, number, properties, parts))
+        vertex_lists = [get_coordinates(piece, include_z=True).tolist()
+                        for piece in get_parts(shape)]
+        features.append(Feature(path, number, properties, vertex_lists))
     return features, str(meta["crs"] or "")
 
 

@@ -53,9 +53,9 @@ class GridWriter(Writer):
             if fitted.model.uses_height and self.options["dem"] is None:
                 log.warning("Warning: without a raster of heights (--dem) the ground is taken as "
                             "level, at the height %.6g.", height)
-                places = places_of(fitted)
-                level = places * [1, 1, 0] + [0, 0, height]
-                say_deviation(self.name, fitted, places, fitted.project(level),
+                sampled = places_of(fitted)
+                level = sampled * [1, 1, 0] + [0, 0, height]
+                say_deviation(self.name, fitted, sampled, fitted.project(level),
                               ", at the heights of the control")
         image = np.stack(np.meshgrid(lines, samples, indexing="ij"), axis=-1)
         with surface_of(self.options["dem"], fitted.control.crs, height) as surface:
@@ -109,19 +109,19 @@ class GcpGridVrt(GridWriter):
         lines, samples = (np.linspace(0.0, size - 1.0, self.options["across"] + 1)
                           for size in picture.size)
         ground, crs = for_warping(self.ground(result, lines, samples), result.fit.control.crs)
-        seen = np.argwhere(np.isfinite(ground).all(axis=-1))
-        gcps = Points(tuple(f"{i}-{j}" for i, j in seen),
-                      np.column_stack([lines[seen[:, 0]], samples[seen[:, 1]]]),
-                      ground[seen[:, 0], seen[:, 1]])
+        nodes = np.argwhere(np.isfinite(ground).all(axis=-1))
+        gcps = Points(tuple(f"{i}-{j}" for i, j in nodes),
+                      np.column_stack([lines[nodes[:, 0]], samples[nodes[:, 1]]]),
+                      ground[nodes[:, 0], nodes[:, 1]])
         write_text(path, vrt_text(picture, path.parent, gcps=gcps, crs=crs))
 
     def say_loss(self, fitted: Fit, image: FloatArray, ground: FloatArray,
                  surface: Dem | float) -> None:
         """Log how far GDAL's thin plate spline through the grid is from the model."""
-        known = np.isfinite(ground).all(axis=-1)
-        if known.sum() < 3:
+        finite = np.isfinite(ground).all(axis=-1)
+        if finite.sum() < 3:
             return
-        spline = by_splines(ground[known][:, :2], image[known])
+        spline = by_splines(ground[finite][:, :2], image[finite])
         between = ground_where_held(fitted, _middles(image), surface)
         between = between[np.isfinite(between).all(axis=1)]
         say_deviation(self.name, fitted, between, spline(between), ", by gdalwarp -tps")
@@ -159,8 +159,8 @@ class GeolocationVrt(GridWriter):
         # A VRT that is replaced keeps its array until the new VRT is in place, so that an interrupt
         # leaves no VRT with the array of another: where FILE_xy.tif is in use, the new array is
         # FILE_xy_2.tif, and the next one FILE_xy.tif again.
-        array, other = sorted(_arrays(path), key=lambda array: _named(array, path))
-        replaced = _named(other, path)
+        array, other_array = sorted(_arrays(path), key=lambda array: _named(array, path))
+        replaced = _named(other_array, path)
         domain = {
             "X_DATASET": array.name, "X_BAND": "1",
             "X_DATASET_RELATIVE_TO_SOURCE": "YES",
@@ -182,18 +182,18 @@ class GeolocationVrt(GridWriter):
             write_bytes(array, content)
         if replaced:
             with suppress(OSError):  # the new VRT is right without that
-                other.unlink()
+                other_array.unlink()
 
     def say_loss(self, fitted: Fit, image: FloatArray, ground: FloatArray,
                  surface: Dem | float) -> None:
         """Log how far GDAL's interpolation between the nodes of the array is from the model."""
         between = _middles(ground)
-        places = _middles(image)
-        seen = np.isfinite(between).all(axis=1)
-        between = between[seen]
-        places = places[seen]
+        image_between = _middles(image)
+        finite = np.isfinite(between).all(axis=1)
+        between = between[finite]
+        image_between = image_between[finite]
         between[:, 2] = surface(between[:, :2]) if isinstance(surface, Dem) else surface
-        say_deviation(self.name, fitted, between, places, ", between the nodes of the array")
+        say_deviation(self.name, fitted, between, image_between, ", between the nodes of the array")
 
 
 def _arrays(path: Path) -> tuple[Path, Path]:

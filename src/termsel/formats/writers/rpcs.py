@@ -61,10 +61,10 @@ class RpcWriter(Writer):
             temporary.write_bytes(encoded(text))
             require_read_back(rpc, text, self.suffix)
         self.written(rpc, path)
-        places = places_of(result.fit, heights)
+        sampled = places_of(result.fit, heights)
         with np.errstate(all="ignore"):
-            image = rpc.project(to_wgs84(result.fit.control.crs)(places))
-        say_deviation(self.name, result.fit, places, image,
+            image = rpc.project(to_wgs84(result.fit.control.crs)(sampled))
+        say_deviation(self.name, result.fit, sampled, image,
                       ", over the image and "
                       + ("the heights of the control" if heights is None else
                          f"heights from {heights[0]:g} to {heights[1]:g}"))
@@ -80,7 +80,8 @@ class RpcWriter(Writer):
         try:
             low, high = map(float, str(text).split(","))
         except ValueError:
-            low, high = np.nan, np.nan
+            low = np.nan
+            high = np.nan
         if not (np.isfinite([low, high]).all() and low <= high):
             raise TermselError(f"option 'heights' cannot be {text!r}",
                                hint="Give the least and the largest height, such as "
@@ -94,16 +95,18 @@ class RpcWriter(Writer):
     def written(self, rpc: Rpc, path: Path) -> None:
         """Warn if GDAL does not use the file that was written."""
         image = self.options["image"]
-        vendors = [vendor for ending in (".RPB", ".rpb") if self.suffix == "_RPC.TXT"
-                   for vendor in [path.with_name(_stem(path, self.suffix) + ending)]
-                   if is_there(vendor)]
+        vendors = []
+        if self.suffix == "_RPC.TXT":
+            candidates = [path.with_name(_stem(path, self.suffix) + ending)
+                          for ending in (".RPB", ".rpb")]
+            vendors = [candidate for candidate in candidates if is_there(candidate)]
         if vendors:
             log.warning("Warning: GDAL uses the RPC of %s and not that of %s. Move the former "
                         "away, or write a VRT with --to rpc-vrt.", vendors[0].name, path.name)
         elif image is not None:
             with open_raster(image) as raster:
-                taken = raster.tags(ns="RPC")
-            if not taken or read_rpc(Path(image)) != rpc:
+                rpc_in_use = raster.tags(ns="RPC")
+            if not rpc_in_use or read_rpc(Path(image)) != rpc:
                 stem = Path(image).stem
                 log.warning("Warning: GDAL does not use this RPC for %s. A file beside it has "
                             "priority, or this file is not named %s. --to rpc-vrt avoids "
@@ -187,20 +190,20 @@ def _require_same_by_gdal(rpc: Rpc, image: Path) -> None:
     with np.errstate(all="ignore"):
         ours = rpc.project(ground)
     # Near a pole, far outside the image, nothing can be compared.
-    seen = (np.abs(ours - rpc.image_offset) <= 3 * np.abs(rpc.image_scale)).all(axis=1)
+    near_image = (np.abs(ours - rpc.image_offset) <= 3 * np.abs(rpc.image_scale)).all(axis=1)
     try:
         with open_raster(image) as raster:
             rpcs = raster.rpcs
         with RPCTransformer(rpcs) as transformer:
-            rows, columns = transformer.rowcol(*ground[seen].T, op=np.asarray)
+            rows, columns = transformer.rowcol(*ground[near_image].T, op=np.asarray)
     except (RasterioError, CPLE_BaseError, ValueError) as error:
         raise TermselError(f"GDAL cannot use this RPC: {reason_of(error, image)}",
                            hint="A model cannot be inverted if its line or sample does not depend "
                                 "on the ground position.") from error
     # GDAL counts from the corner of the upper-left pixel.
-    apart = np.abs(np.column_stack([rows, columns]) - 0.5 - ours[seen])
-    if not seen.any() or not (apart <= AGREED).all():
-        worst = apart.max() if apart.size else np.inf
+    difference = np.abs(np.column_stack([rows, columns]) - 0.5 - ours[near_image])
+    if not near_image.any() or not (difference <= AGREED).all():
+        worst = difference.max() if difference.size else np.inf
         raise TermselError(
             f"GDAL's projection by this RPC differs by up to {worst:.3g} px",
             hint="The model is unusable near the edges of its ground: choose a simpler one.")

@@ -83,11 +83,11 @@ class QgisPointsWriter(SelectionWriter):
         _require_accepted(self, result, path, _NO_POINTS)
         points = result.features.points
         rows = []
-        for (x, y, _), (line, sample), chosen, (dl, ds) in zip(
+        for (x, y, _), (line, sample), selected, (dl, ds) in zip(
                 points.ground.tolist(), points.image.tolist(), _chosen(result),
                 np.nan_to_num(_errors(result)).tolist(), strict=True):
             # Pixel edges are whole numbers. Of places y points up, of residuals down.
-            values = (x, y, sample + 0.5, -line - 0.5, int(chosen), -ds, -dl, math.hypot(dl, ds))
+            values = (x, y, sample + 0.5, -line - 0.5, int(selected), -ds, -dl, math.hypot(dl, ds))
             rows.append(",".join(map(repr, values)))
         crs = horizontal(result.features.crs)
         declared = [f"#CRS: {wkt(crs)}"] if crs else []
@@ -128,14 +128,14 @@ class PointsTable(SelectionWriter):
         """Write a table; control points that were not selected have 0 in the column enabled."""
         _require_accepted(self, result, path, _NO_POINTS)
         points = result.features.points
-        chosen = _chosen(result)
+        selected = _chosen(result)
         errors = _errors(result)
         header, measured = point_columns(points)
         header = ["id", "role", "enabled", *header, "computed_line", "computed_sample",
                   "residual_line", "residual_sample"]
         values = np.concatenate([measured, points.image - errors, errors], axis=1)
         texts = [[name, role, str(int(on or role != "control"))]
-                 for name, role, on in zip(points.ids, points.roles, chosen, strict=True)]
+                 for name, role, on in zip(points.ids, points.roles, selected, strict=True)]
         write_text(path, table_text(result.features.crs, header, texts, values,
                                     points.attributes))
         say_measured(self.name)
@@ -157,10 +157,10 @@ class LinesTable(Writer):
         """Write a table; lines that were not selected have 0 in the column enabled."""
         _require_accepted(self, result, path, "It has no control lines; points-csv takes points.")
         lines = result.features.lines
-        chosen = _used(result)
+        selected = _used(result)
         header, values = line_columns(lines)
         distances = np.linalg.norm(result.fit.line_errors(lines), axis=-1)
-        texts = [[name, "control", str(int(name in chosen))] for name in lines.ids]
+        texts = [[name, "control", str(int(name in selected))] for name in lines.ids]
         write_text(path, table_text(
             result.features.crs, ["id", "role", "enabled", *header, "residual1", "residual2"],
             texts, np.concatenate([values, distances], axis=1), lines.attributes))

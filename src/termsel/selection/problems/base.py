@@ -109,8 +109,8 @@ def evaluation_fault(problem: Problem, value: Any, genes: Genes, *_near: Any,
     n = len(genes)
     names = problem.objectives
     return (of_type(value, Evaluation)
-            or of_shape(value.objectives, (n, len(names)), what="returned as objectives")
-            or of_shape(value.violation, (n,), what="returned as violation"))
+            or of_shape(value.objectives, (n, len(names)), verb="returned as objectives")
+            or of_shape(value.violation, (n,), verb="returned as violation"))
 
 
 def _is_number(value: Any) -> bool:

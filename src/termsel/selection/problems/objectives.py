@@ -144,10 +144,10 @@ def scored(objective: Objective, selected: PopulationSelection) -> FloatArray:
     """
     score = objective.score
     called = "" if is_own(score) else named_function(f"objective {objective.name!r}", score)
-    with blamed(score, "score", called=called):
+    with blamed(score, "score", name=called):
         figures = score(selected)
     if fault := of_shape(figures, (len(selected.terms),)):
-        raise wrong(score, "score", fault, called=called)
+        raise wrong(score, "score", fault, name=called)
     return figures
 
 
