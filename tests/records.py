@@ -80,7 +80,7 @@ def share(most: float) -> dict[str, Any]:
 
 
 def text(whole: bool = True, **changed: Any) -> str:
-    return text_of(document(convert(record(**changed), Record)), whole=whole, titled=False)
+    return text_of(document(convert(record(**changed), Record)), with_details=whole, titled=False)
 
 
 def first_screen(**changed: Any) -> list[str]:

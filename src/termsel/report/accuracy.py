@@ -39,6 +39,8 @@ def accuracy_lines(record: Record) -> list[str]:
         return _between_points(record)
     if are_computed(record):
         return [agreement_of_computed(record)]
+    # The prediction must be of the fit that the points measured; that of the exported one has seen
+    # them.
     predicted = record.predicted if accuracy and not predicted_first(record) else \
         expected_of(record)
     if accuracy is None:
@@ -46,6 +48,8 @@ def accuracy_lines(record: Record) -> list[str]:
     if predicted is None:
         return [_measured(accuracy), *_doubts(record, accuracy)]
     if predicted_first(record):
+        # Points without errors leave a prediction of rounding, whose ratio to anything means
+        # nothing.
         if predicted.high < _ROUNDING:
             return ["the points fit exactly", _measured(accuracy), *_doubts(record, accuracy)]
         measured = _measured(accuracy).replace("RMSE at", "at")  # the line above names it
@@ -67,6 +71,7 @@ def are_computed(record: Record) -> bool:
         return False
     expected = expected_of(record)
     if record.accuracy is not None:
+        # Both figures must be too small to be measured: one of them may be small by luck.
         return max(record.accuracy.image.total, expected.high if expected else 0.0) < _MEASURABLE
     return expected is not None and _ROUNDING <= expected.high < _MEASURABLE
 
@@ -84,6 +89,7 @@ def agreement_of_computed(record: Record) -> str:
 def _between_points(record: Record) -> list[str]:
     """Return how well a model interpolates between the points of a lattice, or meets them."""
     expected = expected_of(record)
+    # A lattice says how its own geometry is, not where the ground is.
     unknown = "the points were computed, so the accuracy of the product is not known"
     if expected is not None:
         return [f"{rounded(expected.rmse)} px   RMSE {PREDICTED_BY} between the points of the "
@@ -119,6 +125,7 @@ def _measured(accuracy: Accuracy) -> str:
 def _agreement(accuracy: Accuracy, predicted: Predicted) -> str:
     """Return whether the measured RMSE lies in the interval of the predicted one."""
     measured = accuracy.image.total
+    # The interval has the level of the prediction, so that one measured value in ten lies outside.
     if measured > predicted.high:
         return ": the prediction was too small"
     return ": the prediction was too large" if measured < predicted.low else ": consistent"
@@ -142,6 +149,7 @@ def reused_points(accuracy: Accuracy) -> str:
     """
     reused = accuracy.spent_count
     n = accuracy.image.n
+    # Below a half the new points outweigh those that were seen.
     if not reused or 2 * reused < n:
         return ""
     return "these points" if reused == n else f"{reused} of these points"

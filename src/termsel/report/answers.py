@@ -69,6 +69,7 @@ def document(record: Record, view: View | None = None, picture: str = "",
     return Document(
         title, _made_by(record),
         (*_first_lines(record, view), *_fitted_in(record), *_first_picture(view, picture)),
+        # A section without an answer has no heading either.
         (*(Section(title, blocks) for title, answer in (
             ("How accurate is it?", _accuracy(record)),
             ("Is it better than conventional models?", _compared(record, view)),
@@ -89,6 +90,7 @@ def _first_lines(record: Record, view: View | None) -> Iterator[Fact]:
     for fact in first_screen(record):
         text = fact.text
         if view is not None:
+            # What a page shows further down, the screen shows by an option.
             for on_screen, on_page in _ON_A_PAGE.items():
                 text = text.replace(on_screen, on_page)
         yield Fact(text, fact.label)
@@ -109,6 +111,7 @@ def _fitted_in(record: Record) -> Iterator[Block]:
 
 def _accuracy(record: Record) -> Iterator[Block]:
     yield Statement(statement(record))
+    # Of computed points an RMSE would look like an accuracy.
     accuracy = None if are_computed(record) else record.accuracy
     predicted = record.predicted
     if accuracy:
@@ -119,17 +122,19 @@ def _accuracy(record: Record) -> Iterator[Block]:
         if predicted and (_of_all(record) or not predicted_first(record)):
             yield _prediction(predicted)
     if (strategy := record.strategy) and strategy.predicted is not None:
+        # Compared as they are shown: a difference that nobody sees needs no sentence.
         if predicted and rounded(predicted.rmse) != rounded(strategy.predicted):
             yield ("The independent check points have other heights than the control points. At "
                    "the heights of the control points the predicted RMSE is "
                    f"{rounded(strategy.predicted)} px.")
+        # More folds than that are of repeated choices, fewer of points left out one by one.
         yield Detail(
             f"Cross-validation repeated the whole choice in {strategy.folds} folds."
             if strategy.folds > MAX_EXACT_POINTS + 1 else
             "Cross-validation left out each point in turn from the chosen model.")
     if record.final:
-        what = "features" if record.data.counts.lines else "points"
-        yield (f"Exported: the refit to all {len(record.final.features)} {what}. The measured "
+        refitted = "features" if record.data.counts.lines else "points"
+        yield (f"Exported: the refit to all {len(record.final.features)} {refitted}. The measured "
                "accuracy refers to the fit without independent check points, which --no-final "
                "exports.")
 
@@ -138,8 +143,8 @@ def _seen_before(accuracy: Accuracy) -> str:
     """Return which earlier results showed how many of the independent points."""
     if not accuracy.spent_by:
         return ""
-    few = accuracy.spent_count < accuracy.image.n
-    reused = f"{accuracy.spent_count} of them" if few else "they"
+    reused = f"{accuracy.spent_count} of them" if accuracy.spent_count < accuracy.image.n \
+        else "they"
     return f" of this run ({reused} already assessed the fit in {first_of(accuracy.spent_by)})"
 
 
@@ -151,6 +156,7 @@ def statement(record: Record) -> str:
     if are_computed(record):
         text = agreement_of_computed(record)
         return f"{text[:1].upper()}{text[1:]}."
+    # The surer figure comes first: readers quote the first one.
     if expected and predicted_first(record):
         sentences.append(_prediction(expected, exported=_of_all(record),
                                      lattice=lattice_of(record) is not None))
@@ -175,13 +181,14 @@ def _of_all(record: Record) -> bool:
 def _measured(record: Record, accuracy: Accuracy) -> Iterator[str]:
     """Yield the RMSE at independent check points, and whether they are still independent."""
     yield _rmse_on(accuracy)
-    if less := record.accuracy_without:
-        yield f"Without {contradicting(record)}: {_rmse_on(less)}"
-    spent = accuracy.spent_count
+    if record.accuracy_without is not None:
+        yield f"Without {contradicting(record)}: {_rmse_on(record.accuracy_without)}"
+    reused = accuracy.spent_count
     n = accuracy.image.n
-    if spent and 2 * spent >= n:
-        which = "These check points" if spent == n else f"{spent} of these check points"
-        yield f"{which} already assessed another fit; this RMSE may be optimistic."
+    # Points that assessed an earlier fit helped to choose this one, if only by what was tried next.
+    if reused and 2 * reused >= n:
+        points = "These check points" if reused == n else f"{reused} of these check points"
+        yield f"{points} already assessed another fit; this RMSE may be optimistic."
 
 
 def _rmse_on(accuracy: Accuracy) -> str:
@@ -205,6 +212,8 @@ def _figures(accuracy: Accuracy, of: str) -> Iterator[Block]:
     yield TableBlock(f"{counted(image.n, 'independent check point')}{of}",
                      ("", "RMSE", "line or x", "sample or y", "maximum", "CE90"), rows)
     yield from shapes
+    # Standards set conditions, such as a number of points; where these are not met, the reason is
+    # given.
     for standard, title, meaning in (
             (accuracy.nssda, "NSSDA", "horizontal accuracy at 95 % confidence"),
             (accuracy.asprs, "ASPRS 2024", "RMSE, survey error excluded")):
@@ -220,19 +229,22 @@ def _shape(of: InImage | OnGround, unit: str, rmse: dict[str, float]) -> Iterato
     means = dict(zip(rmse, of.mean, strict=True))
     figures = ", ".join(f"{axis} {mean:+.3g} {unit}" for axis, mean in means.items())
     sentence = f"Mean error: {figures}."
+    # A mean of n errors scatters by rmse / sqrt(n): beyond 2.576 of that, 1 % of means are by
+    # chance.
     far = [axis for axis, mean in means.items() if abs(mean) > _FAR * of.n**-0.5 * rmse[axis] > 0]
     yield f"{sentence} The bias of {' and '.join(far)} is significant." if far \
         else Detail(sentence)
     if of.normal:
         ground = isinstance(of, OnGround)  # nothing new, as they are those in the image
         test = "The same test on the ground" if ground else "Test of normality (Shapiro, Wilk)"
-        chances = [f"{axis} {one:.2g}" for axis, one in zip(rmse, of.normal, strict=True)]
+        chances = [f"{axis} {p:.2g}" for axis, p in zip(rmse, of.normal, strict=True)]
         sentence = f"{test}: p of {', '.join(chances)}."
         yield f"{sentence} These errors are not normal; the intervals allow for it." \
             if min(of.normal) < _UNLIKELY and not ground else Detail(sentence)
 
 
 def _prediction(predicted: Predicted, *, exported: bool = False, lattice: bool = False) -> str:
+    # Whether the points to come are known decides what the prediction is about.
     of = f"at {counted(predicted.points, 'independent check point')}" if predicted.points \
         else "of new points within the control area"
     of = "between the points of the lattice" if lattice else of
@@ -266,7 +278,7 @@ def _legend(record: Record, view: View | None) -> Iterator[str]:
     if any("check" in baseline.fitted_to for baseline in baselines):
         yield ("* also fitted to the selection points, so their RMSE is a fit"
                + (" (a hollow symbol in the chart)" if view is not None else ""))
-    if any(not any(rmse.n for rmse in baseline.rmse.by_role.values()) for baseline in baselines):
+    if any(all(rmse.n == 0 for rmse in baseline.rmse.by_role.values()) for baseline in baselines):
         yield "- no redundancy"
     objective = next(iter(record.objectives), "")
     if record.strategy or not objective or record.solver == "all-terms":  # nothing was minimised
@@ -283,6 +295,7 @@ def _fits(record: Record) -> TableBlock:
     rows = []
     keys = []
     for name, fitted_to_check, n_terms, rmse in fits_of(record):
+        # Control first: a fit to it, then what took no part.
         figures = [_figure(rmse.control)]
         for of_role in (rmse.check, rmse.independent):
             figures += [_figure(of_role), "{:.3f} to {:.3f}".format(*of_role.interval)
@@ -290,6 +303,7 @@ def _fits(record: Record) -> TableBlock:
         rows.append((name + " *" * fitted_to_check, str(n_terms), *figures))
         keys.append(name)
         if rmse.leave_one_out is not None:
+            # Leave-one-out is of all control, so that it has one figure and no interval.
             rows.append((f"  {LEAVE_ONE_OUT}", "", _figure(rmse.leave_one_out), *[""] * 4))
             keys.append(name)
     return TableBlock("RMSE [px], with 90 % intervals", (
@@ -313,22 +327,26 @@ def _bad(record: Record, view: View | None) -> Iterator[Block]:
         return
     yield from figure(view, "worst", bars.worst_bars(view))
     on_ground: dict[str, float] = {}
+    # A line has two vertices on the ground: the larger residual counts.
     for row in view.on_ground:
         if row["metres"] is not None:
             on_ground[row["id"]] = max(row["metres"], on_ground.get(row["id"], 0.0))
-    which = f"{len(view.worst):,}" if view.partly else "all"
-    yield TableBlock(f"Residuals of {which} features, the largest first", (
-        "feature", "kind", "role", "residual [px]", "on the ground [m]", "blunder"), [
-            (row["id"], row["kind"], str(ROLE_WORDS.get(row["role"], row["role"])),
-             rounded(row["distance"]),
-             rounded(on_ground[row["id"]]) if row["id"] in on_ground else "-",
-             row["blunder"]) for row in view.worst],
+    listed = f"{len(view.worst):,}" if view.partly else "all"
+    rows = []
+    for row in view.worst:
+        metres = rounded(on_ground[row["id"]]) if row["id"] in on_ground else "-"
+        rows.append((row["id"], row["kind"], str(ROLE_WORDS.get(row["role"], row["role"])),
+                     rounded(row["distance"]), metres, row["blunder"]))
+    yield TableBlock(
+        f"Residuals of {listed} features, the largest first",
+        ("feature", "kind", "role", "residual [px]", "on the ground [m]", "blunder"), rows,
         choice="picked", keys=[row["id"] for row in view.worst], folded=True)
 
 
 def _weak(view: View | None) -> Iterator[Block]:
     if view is None:
         return
+    # Without redundancy nothing tells how certain the model is.
     if why := missing(view, "sigma"):
         yield f"The standard deviation is not known: {why}."
     yield from figure(view, "sigma")
@@ -366,7 +384,7 @@ def _repeated(record: Record, view: View | None) -> Iterator[Block]:
                "fit of the stable terms.")
     yield TableBlock("Versions", ("package", "version"), [
         *record.versions.items(),
-        *((part.name, part.version) for part in record.plugins.values()),
+        *((plugin.name, plugin.version) for plugin in record.plugins.values()),
         ("system of this report", platform.system())])
     yield TableBlock("Checksums (SHA-256)", ("of", "checksum"), [
         ("data as read", record.data.sha256), *plain(record.checksums).items()], folded=True)

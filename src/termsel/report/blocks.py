@@ -97,6 +97,7 @@ class TableBlock:
 
     def has_words(self, column: int) -> bool:
         """Return whether a column has words, which begin at the left, and not numbers."""
+        # A table is aligned by its longest cell; ids are names unless all are numbers.
         return any(len(row[column]) > _LONGEST_NUMBER for row in self.rows) or (
             column == 0 and not all(row[0].isdigit() for row in self.rows))
 

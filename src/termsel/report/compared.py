@@ -19,6 +19,7 @@ ROLE_WORDS = {"control": "control", "check": "selection", "independent": "indepe
 def label_of(name: str) -> str:
     """Return what tables and charts call a fit without a search: a baseline or a candidate of auto.
     """
+    # What no method is called: the fits that stand for comparison only.
     method = BY_NAME.get(name)
     if method is not None:
         return method.label

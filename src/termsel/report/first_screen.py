@@ -42,9 +42,11 @@ _DIMENSIONS = {"poly2d": "2-D", "poly3d": "3-D"}
 def first_screen(record: Record) -> list[Fact]:
     """Return the facts of the first screen; one more line is left for the command that follows."""
     warnings = _warnings(record)
+    # Room for the first warning is kept before the facts are: it must be seen.
     reserved = min(_height(Fact(warnings[0], "Caution")), _MOST_OF_A_WARNING) if warnings else 0
     room = LINES - 1 - reserved - (1 if len(warnings) > 1 else 0)
     facts = _facts(record, brief=0)
+    # Facts become shorter step by step, until they fit.
     for brief in (1, 2):
         if _total_height(facts) > room:
             facts = _facts(record, brief)
@@ -55,6 +57,7 @@ def _facts(record: Record, brief: int) -> list[Fact]:
     """Return all facts but cautions: briefly (1) without second lines, or (2) counting outliers."""
     compared = list(_compared(record))
     search = list(_search(record))
+    # The first line of a topic says it, further ones explain.
     if brief:
         compared = compared[:1]
         search = search[:1]
@@ -84,6 +87,7 @@ def _data(record: Record, brief: int) -> Iterator[Fact]:
     data = record.data
     names = ", ".join(PurePath(name).name for name in data.source.split(", "))
     read = data.read or _read_by_earlier_versions(record)
+    # None of a kind is no word.
     features = ", ".join(counted(number, noun) for number, noun in (
         (read.points, "point"), (read.lines, "line")) if number)
     if read.lattice is not None:
@@ -93,10 +97,10 @@ def _data(record: Record, brief: int) -> Iterator[Fact]:
         heights = " without heights" if read.without_height == read.points + read.lines else \
             f" ({read.without_height} without a height)"
     crs = "coordinates without a CRS" if data.crs == LOCAL else short(data.crs)
-    place = f" ({read.place})" if read.place else ""
+    image_in_file = f" ({read.place})" if read.place else ""
     unit = f"; z in {read.z_unit}" if read.z_unit else ""
     origin = f"; image coordinates from {read.image_origin}" if read.image_origin else ""
-    yield Fact(f"{cut(names, _SOURCE)}: {features}{heights}, {crs}{place}{unit}{origin}")
+    yield Fact(f"{cut(names, _SOURCE)}: {features}{heights}, {crs}{image_in_file}{unit}{origin}")
     yield Fact(roles_of(record))
     unused = _not_used(read)
     if unused and not brief:
@@ -123,6 +127,7 @@ def _number(number: int, noun: str) -> str:
 def _not_used(read: WhatWasRead) -> str:
     """Return how many features take no part, and why."""
     reasons = [f"{len(ids)} {reason}" for reason, ids in read.left_out.items()]
+    # Reasons with their counts, as long as they fit into a line.
     text = f"not used: {'; '.join(reasons)}"
     if len(text) > _WIDTH:
         text = f"not used: {counted(sum(map(len, read.left_out.values())), 'feature')}"
@@ -140,6 +145,7 @@ def title_of(record: Record) -> str:
     strategy = record.strategy
     if strategy is None:
         degree = record.options.model.get("degree")
+        # A degree has a name up to the third; beyond, the number says more.
         if record.model in _DIMENSIONS and isinstance(degree, int):
             shape = f"{_DIMENSIONS[record.model]} polynomial"
             return f"{_DEGREES[degree]} {shape}" if degree in _DEGREES else \
@@ -157,6 +163,7 @@ def _shift_of(record: Record) -> str:
 
     The constants of the correction are in the scaled units of the image.
     """
+    # Only the affine correction has a constant in either axis; terms are scaled, pixels are not.
     coefficients = record.coefficients
     if record.data.rpc is None or not {"line.bias:1", "sample.bias:1"} <= coefficients.keys():
         return ""
@@ -172,6 +179,7 @@ def _model(record: Record) -> str:
     if strategy:
         figures = {row.name: row.predicted for row in strategy.candidates
                    if row.predicted is not None}
+        # Cross-validation may prefer another model by less than its own noise.
         best = min(figures, key=lambda name: figures[name], default="") == strategy.chosen
         how = f" ({'best of' if best else 'chosen among'} {len(figures)} in cross-validation)" \
             if len(figures) > 1 else ""
@@ -179,7 +187,7 @@ def _model(record: Record) -> str:
         return f"{title}{how}{rpc}"
     selection = record.selection
     offered = record.offered
-    # What the search could select, though it did not, was on offer.
+    # What the search could select, though it did not, was on offer; what was rejected before, not.
     excluded = 0 if were_selectable(record) else sum(
         outlier.excluded and outlier.role == "control" for outlier in record.outliers)
     n_features = max(offered.n_features - excluded, selection.n_features)
@@ -187,8 +195,8 @@ def _model(record: Record) -> str:
             f"{share(selection.n_features, n_features)} {record.data.counts.word}")
     if record.stability:
         return f"{text}; stable over {record.stability.repeats} selections"
-    whole = (selection.n_terms, selection.n_features) == (offered.n_terms, offered.n_features)
-    return text if whole else f"{text}, selected by {record.solver}"
+    everything = (selection.n_terms, selection.n_features) == (offered.n_terms, offered.n_features)
+    return text if everything else f"{text}, selected by {record.solver}"
 
 
 def were_selectable(record: Record) -> bool:
@@ -196,30 +204,32 @@ def were_selectable(record: Record) -> bool:
     return record.options.problem.get("blunders") == "keep"
 
 
-def share(chosen: int, offered: int) -> str:
+def share(selected: int, offered: int) -> str:
     """Return how many of those on offer are chosen."""
-    return f"all {offered}" if chosen == offered else f"{chosen} of {offered}"
+    return f"all {offered}" if selected == offered else f"{selected} of {offered}"
 
 
 def outlier_lines(record: Record) -> list[str]:
     """Return the worst outliers of each kind: rejected, in use, and independent check points."""
+    # An outlier that is in use weakens the model, one that was rejected does not.
     rejected, used, independent = groups = _grouped(record)
     if lattice_of(record) is not None:
         return ["not tested: the points of a lattice were computed"]
     if not any(groups):
         return [_none_detected(record)]
-    word = record.data.counts.word
+    noun = record.data.counts.word
     lines = []
     if rejected:
         outcome = "not selected by the search, which could select them" \
             if were_selectable(record) else "rejected"
-        lines.append(f"{_counted(rejected, word)} {outcome}: {_listed(rejected)}")
+        lines.append(f"{_counted(rejected, noun)} {outcome}: {_listed(rejected)}")
     if used:
-        lines.append(f"{_counted(used, word)} still in use: {_listed(used)}")
+        lines.append(f"{_counted(used, noun)} still in use: {_listed(used)}")
     if independent:
         lines.append(f"{counted(len(independent), 'independent check point')} "
-                     f"contradict{'s' if len(independent) == 1 else ''} the model: "
+                     f"{'contradicts' if len(independent) == 1 else 'contradict'} the model: "
                      f"{_listed(independent)}")
+    # A longer option would not fit into the command that follows.
     if len(off_option(record)) > _LONGEST_OPTION:
         lines[-1] += "; --verbose shows the option that leaves them out"
     return lines
@@ -235,8 +245,8 @@ def _counted_outliers(record: Record) -> list[str]:
             "lists them"]
 
 
-def _counted(outliers: Sequence[Outlier], word: str) -> str:
-    return counted(len(outliers), word.removesuffix("s"))
+def _counted(outliers: Sequence[Outlier], noun: str) -> str:
+    return counted(len(outliers), noun.removesuffix("s"))
 
 
 def _none_detected(record: Record) -> str:
@@ -246,6 +256,7 @@ def _none_detected(record: Record) -> str:
     predicted = record.predicted
     if record.options.data.get("tested"):
         return "tested in an earlier run, not in this one"
+    # Independent points far outside the prediction are outliers as a whole, or the model is.
     if accuracy and predicted and accuracy.image.total > _CONTRADICTED * predicted.high:
         return (f"none among the others, but the "
                 f"{counted(accuracy.image.n, 'independent check point')} contradict"
@@ -254,8 +265,10 @@ def _none_detected(record: Record) -> str:
     if test is None:
         return "not tested"
     features = counted(test.features, record.data.counts.word.removesuffix("s"))
+    # An error that could not be larger than the image cannot be found.
     if test.limit is None or test.limit > test.extent:
         return f"not detectable: {features} {'is' if test.features == 1 else 'are'} too few"
+    # Where nothing fits, everything is an outlier, and the test finds none.
     if _size_of_errors(record) > _NO_FIT * test.extent:
         return (f"not detectable: no model fits these {record.data.counts.word}; several are "
                 "wrong, or no model is suitable")
@@ -278,9 +291,10 @@ def _size_of_errors(record: Record) -> float:
 def _grouped(record: Record) -> tuple[list[Outlier], list[Outlier], list[Outlier]]:
     """Return outliers that were rejected, those in use, and independent ones; the worst first."""
     worst = sorted(record.outliers, key=lambda outlier: -outlier.error)
-    others = [outlier for outlier in worst if outlier.role != "independent"]
-    return ([outlier for outlier in others if outlier.excluded],
-            [outlier for outlier in others if not outlier.excluded],
+    # Independent check points were never in use, so that they are not rejected either.
+    control = [outlier for outlier in worst if outlier.role != "independent"]
+    return ([outlier for outlier in control if outlier.excluded],
+            [outlier for outlier in control if not outlier.excluded],
             [outlier for outlier in worst if outlier.role == "independent"])
 
 
@@ -340,6 +354,7 @@ def _as_delivered(record: Record) -> Iterator[str]:
 
 def _comparable(record: Record, rival: BaselineRow) -> tuple[float | None, float | None]:
     """Return the RMSE of this fit and of a rival that may be compared [px]."""
+    # What both fits predict for features left out, or what both have at points that none has seen.
     strategy = record.strategy
     if strategy and not _by_points(record):
         # Of both the model alone: the prediction of the whole choice is larger than either.
@@ -352,6 +367,7 @@ def _comparable(record: Record, rival: BaselineRow) -> tuple[float | None, float
 
 def _by_points(record: Record) -> bool:
     """Return whether independent check points compare models more surely than cross-validation."""
+    # Points that contradict all others say nothing of either model.
     accuracy = record.accuracy_without or record.accuracy
     return accuracy is not None and (
         record.predicted is None or accuracy.image.n >= MANY_INDEPENDENT)
@@ -359,13 +375,14 @@ def _by_points(record: Record) -> bool:
 
 def _verdict(record: Record, own_rmse: float, rival_rmse: float) -> str:
     """Return in a few words what the ratio of two RMSE is worth."""
-    alike = own_rmse <= _ALIKE * rival_rmse and rival_rmse <= _ALIKE * own_rmse
+    # RMSE within 5 % of each other are alike: sets of some twenty points tell no more.
+    similar = own_rmse <= _ALIKE * rival_rmse and rival_rmse <= _ALIKE * own_rmse
     if record.strategy:
-        if alike:
+        if similar:
             return "no practical difference"
         return f"{_times(rival_rmse / own_rmse)} as large" if rival_rmse > own_rmse else \
             f"{label_of(record.reference)} is better by {100 * (1 - rival_rmse / own_rmse):.0f} %"
-    if alike:
+    if similar:
         return "the search gains nothing"
     if rival_rmse > own_rmse:
         return f"the search is better by {100 * (1 - own_rmse / rival_rmse):.0f} %"
@@ -383,15 +400,16 @@ def _conventional(record: Record, row: BaselineRow) -> Iterator[str]:
         return
     excluded = any(outlier.excluded for outlier in record.outliers)
     lacks_features = record.selection.n_features < record.offered.n_features
-    what = f"all {record.offered.n_features} {record.data.counts.word}" if lacks_features else \
+    fitted = f"all {record.offered.n_features} {record.data.counts.word}" if lacks_features else \
         f"all {record.offered.n_terms} terms"
-    yield f"{what}{', outliers included' if excluded else ''}: {rounded(total)} px"
+    yield f"{fitted}{', outliers included' if excluded else ''}: {rounded(total)} px"
 
 
 def _search(record: Record) -> Iterator[str]:
     """Yield what was proven, and the size of the Pareto front."""
     certificate = record.certificate
     if certificate is not None and not certificate.claimed_by:
+        # A claim of another program is not repeated as a proof.
         subsets = amount(certificate.subsets, "subset")
         if certificate.optimal:
             yield f"proven optimum: {subsets} enumerated or excluded by bounds"
@@ -420,15 +438,17 @@ def _cautions(warnings: Sequence[str], room: int) -> Iterator[Fact]:
     """
     label = "Caution"
     for i, warning in enumerate(warnings):
-        rest = len(warnings) - i
-        space = room - (1 if rest > 1 else 0)
+        remaining = len(warnings) - i
+        space = room - (1 if remaining > 1 else 0)
         texts = [warning.removesuffix("."), _first_sentence(warning)]
         if i == 0:
             texts.append(cut(_first_sentence(warning), _WIDTH - 1))
-        fitting = [fact for fact in (Fact(text, label) for text in texts)
-                   if _height(fact) <= max(space, 1 if i == 0 else 0)]
+        facts = [Fact(text, label) for text in texts]
+        # The first warning is shown whatever the room.
+        largest = max(space, 1 if i == 0 else 0)
+        fitting = [fact for fact in facts if _height(fact) <= largest]
         if not fitting:
-            yield Fact(f"{counted(rest, 'more note')}: --verbose", label)
+            yield Fact(f"{counted(remaining, 'more note')}: --verbose", label)
             return
         yield fitting[0]
         room -= _height(fitting[0])
@@ -437,6 +457,7 @@ def _cautions(warnings: Sequence[str], room: int) -> Iterator[Fact]:
 
 def _first_sentence(note: str) -> str:
     """Return the first sentence of a note, without its full stop."""
+    # A full stop within a number or a name is not followed by a space.
     head, stop, _ = note.partition(". ")
     return head if stop else note.removesuffix(".")
 
@@ -448,6 +469,7 @@ def _is_shown(note: str) -> bool:
 
 def _urgent(record: Record) -> Iterator[str]:
     """Yield what must be looked at before any figure is believed."""
+    # In the order of how much a wrong answer would cost.
     if not record.feasible:
         why = "it did not converge" if record.adjustment.converged is False else \
             "it breaks a condition (rank, pole or number of terms)"
@@ -476,6 +498,7 @@ def next_step(record: Record, folder: str = "") -> str:
     if read and (read.doubt or read.mixed):  # what look like blunders may come from these
         return "Next: correct the coordinates, then run again"
     off = off_option(record)
+    # A command that is complete is better than advice.
     if off and len(off) <= _LONGEST_OPTION:
         return f"Next: run again with {off}"
     if not folder:

@@ -35,17 +35,20 @@ def library() -> str:
     require_altair()
     with requires("pages require", "vl-convert-python", '"termsel[report]"'):
         import vl_convert  # noqa: F401 (what another process imports)
-    kept = _KEPT / f"{EMBED}-{version('vl-convert-python')}-{__version__}.js"
+    cached = _KEPT / f"{EMBED}-{version('vl-convert-python')}-{__version__}.js"
     with suppress(OSError):
-        checksum, _, data = kept.read_bytes().partition(b"\n")
+        # The checksum refuses what a crash, or another program, has left there.
+        checksum, _, data = cached.read_bytes().partition(b"\n")
         if checksum == _checksum(data):
             return data.decode()
+    # In a script of a page this would end the script.
     text = bundle(f"window.{EMBED} = vegaEmbed;").replace(
         "</script", "<\\/script")
+    # A page is written all the same where the folder of the module cannot be written to.
     with suppress(OSError, TermselError):
         _KEPT.mkdir(exist_ok=True)
         data = text.encode()
-        write_bytes(kept, _checksum(data) + b"\n" + data)
+        write_bytes(cached, _checksum(data) + b"\n" + data)
     return text
 
 

@@ -28,6 +28,7 @@ def offline(chart: Any) -> Any:
     It remains an Altair chart. So does what is made of it by its methods, such as ``properties``.
     Who enables a renderer of Altair gets that one.
     """
+    # A shallow copy, whose class alone differs: the chart of the user stays as it is.
     copied = chart.copy(deep=False)
     kind: Any = type(chart)
     object.__setattr__(copied, "__class__", _offline(kind))
@@ -37,6 +38,7 @@ def offline(chart: Any) -> Any:
 @cache
 def _offline(kind: Any) -> type:
     def bundle(self: Any, *args: Any, **kwds: Any) -> Any:
+        # Who has chosen a renderer of Altair gets that.
         if require_altair().renderers.active != "default" or find_spec("vl_convert") is None:
             return kind._repr_mimebundle_(self, *args, **kwds)
         return {"text/html": html_of(self), "text/plain": repr(self)}
@@ -49,17 +51,19 @@ def html_of(chart: Any) -> str:
     """Return a chart for the output of a cell."""
     global _sent
     spec = chart.to_dict()
+    # The picture stands for the chart where scripts do not run, as on a page of a repository.
     encoded = base64.b64encode(picture(chart, ".svg")).decode()
     title = spec.get("title", "")
     description = title.get("text", "") if isinstance(title, dict) else title
-    place = f"termsel-{uuid4().hex}"
+    element = f"termsel-{uuid4().hex}"
     # Nothing in the data may end the script.
     content = drawable(json.dumps(spec, allow_nan=False)).replace("<", "\\u003c")
+    # The interpreter is megabytes long: a notebook needs it once.
     scripts = "" if _sent else f"<script>{library()}</script>"
     _sent = True
-    return (f'<div id="{place}"><img alt="{escape(str(description))}" '
+    return (f'<div id="{element}"><img alt="{escape(str(description))}" '
             f'src="data:image/svg+xml;base64,{encoded}"></div>{scripts}<script>(() => {{\n'
-            f"const place = document.getElementById({json.dumps(place)});\n"
+            f"const place = document.getElementById({json.dumps(element)});\n"
             f"if (!place || !window.{EMBED}) return;\nplace.replaceChildren();\n"
             f'window.{EMBED}(place, {content}, {{ actions: false, renderer: "svg", '
             'mode: "vega-lite" });\n})();</script>')

@@ -44,13 +44,14 @@ def page(document: Document) -> str:
     """
     specs: dict[str, Any] = {}
     title = document.title
-    parts = list(_blocks(document.facts, specs))
+    content_blocks = list(_blocks(document.facts, specs))
     for number, section in enumerate(document.sections, 1):
         content = "\n".join(_blocks(section.blocks, specs))
-        parts.append(f'<section aria-labelledby="s{number}"><h2 id="s{number}">'
+        content_blocks.append(f'<section aria-labelledby="s{number}"><h2 id="s{number}">'
                      f"{_text(section.title)}</h2>\n{content}\n</section>")
     style = _resource("page.css") + dark_style()
     script = _resource("page.js")
+    # Nothing from elsewhere is loaded, and no script runs but these two, known by their checksums.
     drawing = library()
     policy = (f"default-src 'none'; script-src {_checksum(drawing)} {_checksum(script)}; "
               f"style-src {_checksum(style)}; img-src data:; base-uri 'none'; form-action 'none'")
@@ -70,7 +71,7 @@ def page(document: Document) -> str:
 <body>
 <header><h1>{_text(title)}</h1><p>{_text(document.subtitle)}</p></header>
 <main>
-{chr(10).join(parts)}
+{chr(10).join(content_blocks)}
 </main>
 <p id="chosen" role="status" aria-live="polite"></p>
 <script type="application/json" id="charts">{charts}</script>
@@ -83,14 +84,17 @@ def page(document: Document) -> str:
 
 def _sharing(specs: dict[str, Any]) -> dict[str, Any]:
     """Return charts that name their data, and all data once: charts share many."""
-    return {"data": {name: rows for spec in specs.values()
-                     for name, rows in spec.get("datasets", {}).items()},
-            "charts": {name: {**spec, "datasets": list(spec.get("datasets", ()))}
-                       for name, spec in specs.items()}}
+    data: dict[str, Any] = {}
+    charts = {}
+    for name, spec in specs.items():
+        data |= spec.get("datasets", {})
+        charts[name] = {**spec, "datasets": list(spec.get("datasets", ()))}
+    return {"data": data, "charts": charts}
 
 
 def _blocks(blocks: Iterable[Block], specs: dict[str, Any]) -> Iterator[str]:
     """Yield blocks as HTML, with charts that follow each other side by side where there is room."""
+    # groupby takes neighbours together, so that figures in a row share it.
     for kind, group in groupby(blocks, type):
         if kind is Fact:
             yield _facts([block for block in group if isinstance(block, Fact)])
@@ -101,11 +105,11 @@ def _blocks(blocks: Iterable[Block], specs: dict[str, Any]) -> Iterator[str]:
 
 def _facts(facts: Sequence[Fact]) -> str:
     """Return the lines of the first screen: those without a label as text, others as a list."""
-    alone = [f"<p>{_text(fact.text)}</p>" for fact in facts if not fact.label and fact.text]
+    paragraphs = [f"<p>{_text(fact.text)}</p>" for fact in facts if not fact.label and fact.text]
     rows = [f"<dt>{_text(fact.label.strip())}</dt><dd>{_text(fact.text)}</dd>"
             for fact in facts if fact.label]
     listed = f'<dl class="facts">{"".join(rows)}</dl>' if rows else ""
-    return "\n".join([*alone, listed])
+    return "\n".join([*paragraphs, listed])
 
 
 def _block(block: Block, specs: dict[str, Any]) -> str:
@@ -128,6 +132,7 @@ def _block(block: Block, specs: dict[str, Any]) -> str:
 
 
 def _figure(figure: Figure, specs: dict[str, Any]) -> str:
+    # Charts are drawn by the browser from their specification, which is at the end of the page.
     specs[figure.name] = styled(figure.chart).to_dict()
     ratio = figure.chart.width / figure.chart.height if figure.keeps_ratio else 0
     return (f'<figure id="{_text(figure.name)}"><h3>{_text(figure.title)}</h3>'
@@ -138,29 +143,35 @@ def _figure(figure: Figure, specs: dict[str, Any]) -> str:
 
 def _table(table: TableBlock) -> str:
     # The first column is the head of its row, which has a style of its own.
-    words = [""] + [' class="words"' * table.has_words(i) for i in range(1, len(table.columns))]
-    heads = [f'<th scope="col"{kind}>{_text(name)}</th>' if name else "<td></td>"
-             for name, kind in zip(table.columns, words, strict=True)]
+    word_classes = [""]
+    for i in range(1, len(table.columns)):
+        word_classes.append(' class="words"' if table.has_words(i) else "")
+    heads = [f'<th scope="col"{word_class}>{_text(name)}</th>' if name else "<td></td>"
+             for name, word_class in zip(table.columns, word_classes, strict=True)]
     if table.pictures:
         heads.insert(1, '<th scope="col" class="words">residuals</th>')
-    head = "".join(heads)
-    choice = f' data-choice="{_text(table.choice)}"' * bool(table.choice)
-    rows = []
-    for i, row in enumerate(table.rows):
-        name, *cells = map(_text, row)
-        key = ' class="marked"' * (i == table.marked)
-        if table.choice:
-            key += f' data-key="{_text(drawable(json.dumps(table.keys[i])))}"'
-            name = f'<button type="button">{name}</button>'
-        picture = f'<td class="picture">{table.pictures[i]}</td>' if table.pictures else ""
-        rows.append(f'<tr{key}><th scope="row">{name}</th>{picture}'
-                    + "".join(f"<td{kind}>{cell}</td>" for cell, kind in zip(
-                        cells, words[1:], strict=True)) + "</tr>")
-    table_html = (f'<div class="scroll" tabindex="0"><table{choice}><caption>{_text(table.caption)}'
-             f"</caption><thead><tr>{head}</tr></thead><tbody>\n" + "\n".join(rows)
-             + "\n</tbody></table></div>")
-    return f"<details><summary>{_text(table.caption)}</summary>{table_html}</details>" \
-        if table.folded else table_html
+    choice = f' data-choice="{_text(table.choice)}"' if table.choice else ""
+    rows = [_row(table, i, word_classes) for i in range(len(table.rows))]
+    caption = _text(table.caption)
+    table_html = (f'<div class="scroll" tabindex="0"><table{choice}><caption>{caption}'
+                  f"</caption><thead><tr>{''.join(heads)}</tr></thead><tbody>\n"
+                  + "\n".join(rows) + "\n</tbody></table></div>")
+    if table.folded:
+        return f"<details><summary>{caption}</summary>{table_html}</details>"
+    return table_html
+
+
+def _row(table: TableBlock, i: int, word_classes: Sequence[str]) -> str:
+    """Return a row of a table: its head, which may be a button that picks it, and its cells."""
+    name, *texts = map(_text, table.rows[i])
+    attributes = ' class="marked"' if i == table.marked else ""
+    if table.choice:
+        attributes += f' data-key="{_text(drawable(json.dumps(table.keys[i])))}"'
+        name = f'<button type="button">{name}</button>'
+    picture = f'<td class="picture">{table.pictures[i]}</td>' if table.pictures else ""
+    cells = [f"<td{word_class}>{text}</td>"
+             for text, word_class in zip(texts, word_classes[1:], strict=True)]
+    return f'<tr{attributes}><th scope="row">{name}</th>{picture}{"".join(cells)}</tr>'
 
 
 def _text(text: str) -> str:

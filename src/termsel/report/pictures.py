@@ -66,11 +66,14 @@ def picture(chart: Any, suffix: str) -> bytes:
     with requires("pictures require", "vl-convert-python", '"termsel[report]"'):
         import vl_convert  # noqa: F401 (what the other process imports)
     try:
+        # The specification goes to the process as text, the answer comes back as bytes, or as text
+        # that says what went wrong.
         drawn = _helper().ask((suffix[1:], drawable(chart.to_json(indent=None)),
                                {"scale": SCALE} if suffix == ".png" else {}))
     except ProcessEndedError as error:
         raise _undrawn("a fault of compiled code, or out of memory") from error
     if isinstance(drawn, str):
+        # The first line of what the library says; the others are a trace of its own code.
         raise _undrawn(next((line for line in map(str.strip, drawn.splitlines()) if line), drawn))
     return bytes(drawn)
 
@@ -102,5 +105,6 @@ def _undrawn(why: str) -> TermselError:
 @cache
 def _helper() -> Helper:
     helper = Helper(_DRAWING)
+    # The process ends with this one, whatever it is doing.
     atexit.register(helper.end)
     return helper

@@ -34,7 +34,7 @@ class ChartKind:
         Returns why a view has no such chart; "" where it has one.
     keeps_ratio : bool
         Whether height follows width, as that of a map.
-    more : callable
+    remark : callable
         Returns what else is said of the chart of a view; "" where nothing is.
     """
 
@@ -44,15 +44,16 @@ class ChartKind:
     draw: Callable[[View], Any]
     missing: Callable[[View], str] = lambda _: ""
     keeps_ratio: bool = False
-    more: Callable[[View], str] = lambda _: ""
+    remark: Callable[[View], str] = lambda _: ""
 
     def caption(self, view: View) -> str:
         """Return what to look for in the chart of a view."""
-        return f"{self.look} {self.more(view)}".strip()
+        return f"{self.look} {self.remark(view)}".strip()
 
 
 def _worst(view: View) -> Any:
     """Return the worst residuals next to the map that shows where they are."""
+    # Side by side, and linked: what is clicked in one is marked in the other.
     return _linked(bars.worst_bars(view).properties(width=260), maps.image_map(view))
 
 
@@ -73,22 +74,22 @@ KINDS = {kind.name: kind for kind in (
         "residuals", "Residuals in the image",
         "Arrows should point in all directions. If neighbours agree, the model lacks a term; a "
         "single long arrow is a blunder.", maps.image_map, keeps_ratio=True,
-        more=lambda view: view.partly),
+        remark=lambda view: view.partly),
     ChartKind(
         "ground", "Residuals on the ground",
         "A common direction over a slope or a district points to wrong heights or a wrong datum.",
-        maps.ground_map, keeps_ratio=True, more=lambda view: view.partly),
+        maps.ground_map, keeps_ratio=True, remark=lambda view: view.partly),
     ChartKind(
         "worst", "The largest residuals",
         "The list should fall off smoothly. A step after the first few bars separates blunders "
-        "from noise.", _worst, more=bars.broken),
+        "from noise.", _worst, remark=bars.broken),
     ChartKind(
         "baselines", "Compared with fits without a search",
         "This result should lie left of the conventional models at independent check points. If "
         "intervals overlap, the difference may be noise.", bars.baseline_bars,
         lambda view: "" if bars.fit_rows(view) else
         "it has neither selection points nor independent check points",
-        more=bars.unlike_others),
+        remark=bars.unlike_others),
     ChartKind(
         "candidates", "Models that the automatic choice compared",
         "Prefer the simpler of two models that are equally good.",
@@ -105,7 +106,7 @@ KINDS = {kind.name: kind for kind in (
         "The best value should be level at the end. If it still falls, give the search more "
         "evaluations.", search.convergence,
         lambda view: "" if len(view.record.history) > 1 else
-        "it has no history of a search", more=search.refined),
+        "it has no history of a search", remark=search.refined),
     ChartKind(
         "empires", "Empires of the search",
         "The imperialist competitive algorithm ends when one band remains. Many bands at the end "
@@ -165,6 +166,7 @@ def figure(view: View | None, name: str, drawn: Any = None) -> Iterator[Figure]:
     drawn : altair.Chart, optional
         The chart, where it is another than that of its kind.
     """
+    # What a view lacks, such as a front, has no figure, and a report no gap.
     if view is not None and not missing(view, name):
         kind = KINDS[name]
         yield Figure(name, kind.title, kind.caption(view),
@@ -188,9 +190,9 @@ def chart(view: View, name: str) -> Any:
     require_altair()
     kind = kind_of(name)
     if why := kind.missing(view):
-        there = ", ".join(kind.name for kind in KINDS.values() if not kind.missing(view))
+        names = ", ".join(kind.name for kind in KINDS.values() if not kind.missing(view))
         raise TermselError(f"this result has no chart {name}: {why}",
-                     hint=f"Charts that it has: {there}.")
+                     hint=f"Charts that it has: {names}.")
     return offline(styled(kind.draw(view), kind.title, kind.caption(view)))
 
 
@@ -220,6 +222,7 @@ def _method(kind: ChartKind) -> Callable[[Plots], Any]:
     return draw
 
 
+# Methods by the names of the charts, so that a notebook completes them.
 for _kind in KINDS.values():
     setattr(Plots, _kind.name, _method(_kind))
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import shlex
+from collections import Counter
 from collections.abc import Iterator
+from itertools import chain
 
 from termsel.data.record.base import Value, plain
 from termsel.data.record.record import Record
@@ -22,9 +24,11 @@ def command(record: Record) -> str:
 
 def not_by_command(record: Record) -> str:
     """Return why no command repeats a run; "" if one does."""
-    made = [f"{part} {plugin.class_}" for part, plugin in record.plugins.items() if plugin.class_]
-    if made:
-        return (f"No command repeats this run, as no plugin provides its {', '.join(made)}. Call "
+    own_classes = [f"{role} {plugin.class_}" for role, plugin in record.plugins.items()
+                   if plugin.class_]
+    if own_classes:
+        return (f"No command repeats this run, as no plugin provides its {', '.join(own_classes)}. "
+                "Call "
                 "termsel.run with the same objects, seed and options.")
     if record.solver == GIVEN:
         return "No command repeats this result, as its genes were given in Python."
@@ -33,6 +37,7 @@ def not_by_command(record: Record) -> str:
 
 def _parts(record: Record) -> Iterator[str]:
     counts = record.data.counts
+    # The problem stands first, as all else depends on it.
     yield f"--problem {shlex.quote(_full_name(record, 'problem'))}"
     if counts.control or counts.check or counts.independent or counts.off:
         yield "--points points.csv"
@@ -44,27 +49,35 @@ def _parts(record: Record) -> Iterator[str]:
     else:
         # A solver that is named takes what its paper says; that of the problem leaves it open.
         named = record.solver != Recipe.solver or None not in record.options.solver.values()
-        for part in ("model", *["solver"] * named, "criterion"):
-            yield f"--{part} {shlex.quote(_full_name(record, part))}"
-    each = plain(record.options)
-    names = [name for options in each.values() for name in options]
-    for part, options in each.items():
-        for name, value in options.items():
-            if value is not None and not (part == "data" and name in _SETTLED) \
-                    and (part, name) != _OF_PROOF \
-                    and not (record.strategy and part != "data"):
-                # A name that two parts have must say which.
-                key = f"{part}.{name}" if names.count(name) > 1 else name
-                yield f"--set {shlex.quote(f'{key}={_text(value)}')}"
+        for part_of_run in ("model", "solver", "criterion") if named else ("model", "criterion"):
+            yield f"--{part_of_run} {shlex.quote(_full_name(record, part_of_run))}"
+    yield from _settings(record)
     yield f"--seed {record.seed}"
     for name, limit in plain(record.budget).items():
         yield f"--{name} {limit:.12g}"
 
 
-def _full_name(record: Record, part: str) -> str:
+def _settings(record: Record) -> Iterator[str]:
+    """Yield the options of all parts of the run but those that follow from other arguments."""
+    options_by_owner = plain(record.options)
+    owners = Counter(chain.from_iterable(options_by_owner.values()))
+    for owner, options in options_by_owner.items():
+        # What is chosen automatically has no options but those of the data.
+        if record.strategy and owner != "data":
+            continue
+        for name, value in options.items():
+            is_settled = owner == "data" and name in _SETTLED
+            if value is None or is_settled or (owner, name) == _OF_PROOF:
+                continue
+            # A name that two parts have must say which.
+            key = f"{owner}.{name}" if owners[name] > 1 else name
+            yield f"--set {shlex.quote(f'{key}={_text(value)}')}"
+
+
+def _full_name(record: Record, part_of_run: str) -> str:
     """Return the name of a part, with its distribution if a plugin provides it."""
-    plugin = record.plugins.get(part)
-    return str(getattr(record, part)) if plugin is None else plugin.name
+    plugin = record.plugins.get(part_of_run)
+    return str(getattr(record, part_of_run)) if plugin is None else plugin.name
 
 
 _OF_PROOF = ("solver", "certificate")

@@ -33,10 +33,11 @@ def selected(record: Record, view: View | None, picture: str) -> Iterator[Block]
     yield from _front(record, view, picture)
     yield from map(Detail, _coefficients(record))
     if view is not None:
-        there = [name for name in OF_TERMS if not missing(view, name)]
-        for name in there:
+        # Charts of terms, each with its table for those who cannot see it.
+        drawable = [name for name in OF_TERMS if not missing(view, name)]
+        for name in drawable:
             yield from figure(view, name)
-        yield from (table(view) for name in there if (table := OF_TERMS[name]) is not None)
+        yield from (table(view) for name in drawable if (table := OF_TERMS[name]) is not None)
     selection = record.selection
     offered = record.offered
     if selection.n_features < offered.n_features and not record.strategy:
@@ -84,9 +85,9 @@ def _search(record: Record) -> Iterator[Block]:
         yield "Parameters: " + ", ".join(
             f"{name} {value:.6g}" if isinstance(value, float) else f"{name} {value}"
             for name, value in parameters.items())
-    most = _max_share(record)
-    if most < 1:
-        yield (f"Limit: terms number at most {100 * most:.0f} % of their equations; --set "
+    max_share = _max_share(record)
+    if max_share < 1:
+        yield (f"Limit: terms number at most {100 * max_share:.0f} % of their equations; --set "
                "max_share=1 removes it")
     yield (f"Search: {counted(record.evaluations, 'evaluation')} ({record.lookups} from the "
            f"cache), {counted(record.generations, 'generation')}, {record.seconds:.1f} s")
@@ -102,7 +103,9 @@ def _max_share(record: Record) -> float:
 
 def _proven(record: Record) -> Iterator[Block]:
     if record.certificate:
-        exact = "--solver exact" + " --set max_share=1" * (_max_share(record) == 1.0)
+        exact = "--solver exact"
+        if _max_share(record) == 1.0:
+            exact += " --set max_share=1"
         if record.solver == "exact":  # it has a front once it has decided all
             exact = "--set recommend=best" if record.front else "a larger budget"
         yield _certificate(record.certificate, exact)
@@ -110,6 +113,7 @@ def _proven(record: Record) -> Iterator[Block]:
 
 def _certificate(certificate: Certificate, exact: str) -> str:
     """Return what a certificate proves; `exact` is what would find the optimum."""
+    # In words: how many subsets were decided, of which space, under which limit.
     decided = f"{amount(certificate.subsets, 'subset')} enumerated"
     proven = f"{decided}, {certificate.space}"
     _, _, limit = certificate.space.partition("selections of ")
@@ -123,6 +127,7 @@ def _certificate(certificate: Certificate, exact: str) -> str:
             how.append(f"{amount(certificate.bounded)} of them fathomed by bounds")
         return (f"Proven: no selection{capped} has a better criterion "
                 f"({', '.join(how if limit else [*how, certificate.space])})")
+    # A proof of the optimum that is not this selection: how far it is from it.
     if isinstance(certificate.optimum, float):
         if not isinstance(certificate.gap, float):
             return (f"The proven optimum is {certificate.optimum:.4g}, below this ({proven}); "
@@ -143,6 +148,7 @@ def _front(record: Record, view: View | None, picture: str) -> Iterator[Block]:
     """Yield the front, or the best so far of each size, and what is proven of these."""
     front = record.front
     by_size = record.by_size
+    # Without a front, sizes that are better than all smaller ones are one.
     members: Sequence[Member | SizeRow] = front or [row for row in by_size if row.better]
     if not members:
         return
@@ -151,34 +157,52 @@ def _front(record: Record, view: View | None, picture: str) -> Iterator[Block]:
         yield Figure("members", "Residuals of the chosen member",
                      "Choose a member in the chart above or in the table below.",
                      search.members(view, picture), keeps_ratio=True)
-    size, criterion = list(members[0].objectives)[:2]
-    counts = sizes.counted_by(members)
-    names = size.removeprefix("n_")
-    proven = {row.objectives[size]: sizes.proven(row) for row in by_size}
-    yield TableBlock("Pareto front", (
-        counts, *list(members[0].objectives)[1:], "selection [px]", "independent check [px]",
-        *[sizes.TITLE] * bool(proven), names), [
-            (*("-" if value is None else f"{value:.5g}" for value in one.objectives.values()),
-             _px(one.rmse.check), _px(one.rmse.independent),
-             *[proven.get(one.objectives[size], "")] * bool(proven),
-             " ".join(getattr(one.selection, names))) for one in members],
-        choice="member" * bool(front), keys=list(range(len(front))),
-        marked=sizes.recommended(members, record.selection),
-        page_only=(len(members[0].objectives),
-                   len(members[0].objectives) + 2 + bool(proven)))
+    yield _table_of_members(record, members)
     rule = record.options.problem.get("recommend")
     if rule and (len(record.objectives) > 1 or rule != "best"):
         yield (f"The arrow marks the selection; the rule {rule} recommends it (--set "
                "recommend=...).")
     if by_size:
-        yield from sizes.others(by_size, criterion)
-        yield TableBlock("Best selection of each size", (
-            counts, criterion, "lower bound", sizes.TITLE, "independent check [px]", names), [
-                (f"{one.objectives[size]:g}", f"{one.objectives[criterion]:.4g}",
-                 "-" if one.bound is None else f"{one.bound:.4g}", sizes.proven(one),
-                 _px(one.rmse.independent), " ".join(getattr(one.selection, names)))
-                for one in by_size],
-            folded=True)
+        yield from sizes.others(by_size, list(members[0].objectives)[1])
+        yield _table_by_size(members, by_size)
+
+
+def _table_of_members(record: Record, members: Sequence[Member | SizeRow]) -> TableBlock:
+    """Return the table of the front, with what is proven of each size where anything is."""
+    size, *further = members[0].objectives
+    names = size.removeprefix("n_")
+    proven = {row.objectives[size]: sizes.proven(row) for row in record.by_size}
+    rows = []
+    for member in members:
+        objectives = ["-" if value is None else f"{value:.5g}"
+                      for value in member.objectives.values()]
+        verdict = [proven.get(member.objectives[size], "")] if proven else []
+        rows.append((*objectives, _px(member.rmse.check), _px(member.rmse.independent), *verdict,
+                     " ".join(getattr(member.selection, names))))
+    title = [sizes.TITLE] if proven else []
+    columns = (sizes.counted_by(members), *further, "selection [px]", "independent check [px]",
+               *title, names)
+    # A text has no room for the errors at selection points and for the names.
+    selection_column = len(members[0].objectives)
+    return TableBlock("Pareto front", columns, rows, choice="member" if record.front else "",
+                      keys=list(range(len(record.front))),
+                      marked=sizes.recommended(members, record.selection),
+                      page_only=(selection_column, len(columns) - 1))
+
+
+def _table_by_size(members: Sequence[Member | SizeRow], by_size: Sequence[SizeRow]) -> TableBlock:
+    """Return the table of the best selection of each size with its lower bound."""
+    size, criterion = list(members[0].objectives)[:2]
+    names = size.removeprefix("n_")
+    rows = []
+    for row in by_size:
+        bound = "-" if row.bound is None else f"{row.bound:.4g}"
+        rows.append((f"{row.objectives[size]:g}", f"{row.objectives[criterion]:.4g}", bound,
+                     sizes.proven(row), _px(row.rmse.independent),
+                     " ".join(getattr(row.selection, names))))
+    columns = (sizes.counted_by(members), criterion, "lower bound", sizes.TITLE,
+               "independent check [px]", names)
+    return TableBlock("Best selection of each size", columns, rows, folded=True)
 
 
 def _px(rmse: RoleRmse) -> str:
@@ -187,10 +211,11 @@ def _px(rmse: RoleRmse) -> str:
 
 def _coefficients(record: Record) -> Iterator[Block]:
     """Yield which terms are not significant, and how coefficients correlate."""
-    weak = [name for name, one in record.significance.items() if one.p > SIGNIFICANT]
+    weak = [name for name, term in record.significance.items() if term.p > SIGNIFICANT]
     if weak:
         yield Names(f"Not significant ({100 * SIGNIFICANT:.0f} %)", tuple(weak))
     if pairs := record.correlations:
+        # Pairs are sorted, the highest correlation first.
         first, second = pairs[0].terms
         yield (f"Correlations of coefficients of {CORRELATED} or more: {len(pairs)}, highest "
                f"{pairs[0].correlation:.4f} ({first}, {second})")

@@ -19,6 +19,7 @@ def proven(row: SizeRow) -> str:
         return "proven"
     if row.gap is None:
         return "not proven"
+    # Above twice the optimum a percentage is read wrongly.
     if row.gap > 1:
         return f"at most {1 + row.gap:.3g} times the optimum"
     return f"gap at most {percent(row.gap)}"
@@ -28,14 +29,15 @@ def others(by_size: Sequence[SizeRow], criterion: str) -> Iterator[str]:
     """Yield what is proven of the sizes that are no better than a smaller one, by the criterion."""
     settled = []
     open_ = []
-    least = float("inf")
+    best_value = float("inf")
     words = counted_by(by_size)
     for row in by_size:
         size = int(row.objectives[size_of(row)] or 0)
         value = row.objectives[criterion]
+        # Sizes are in ascending order, so that a bound above the best value of fewer decides.
         if row.better and value is not None:
-            least = value
-        elif row.bound is not None and row.bound >= least - _TIE * abs(least):
+            best_value = value
+        elif row.bound is not None and row.bound >= best_value - _TIE * abs(best_value):
             settled.append(size)
         else:
             open_.append(size)
@@ -47,11 +49,12 @@ def others(by_size: Sequence[SizeRow], criterion: str) -> Iterator[str]:
                "than that of fewer.")
 
 
-def recommended(members: Sequence[Member | SizeRow], chosen: SelectionRecord) -> int | None:
+def recommended(members: Sequence[Member | SizeRow], selection: SelectionRecord) -> int | None:
     """Return the number of the member that is the selection; None if none is."""
-    return next((i for i, one in enumerate(members)
-                 if one.selection.terms == chosen.terms
-                 and one.selection.features == chosen.features), None)
+    # Compared by what they select, as numbers may be rounded.
+    return next((i for i, member in enumerate(members)
+                 if member.selection.terms == selection.terms
+                 and member.selection.features == selection.features), None)
 
 
 def size_of(member: Member | SizeRow) -> str:
@@ -67,11 +70,13 @@ def counted_by(members: Sequence[Member | SizeRow]) -> str:
 def _ranges(sizes: Sequence[int]) -> str:
     """Return numbers as text, three or more in a row by their ends."""
     rows: list[list[int]] = []
+    # Runs of consecutive sizes.
     for size in sizes:
         if rows and size == rows[-1][-1] + 1:
             rows[-1].append(size)
         else:
             rows.append([size])
-    words = [word for row in rows for word in (
-        map(str, row) if len(row) < 3 else [f"{row[0]} to {row[-1]}"])]
+    words: list[str] = []
+    for row in rows:
+        words += map(str, row) if len(row) < 3 else [f"{row[0]} to {row[-1]}"]
     return " and ".join([", ".join(words[:-1]), words[-1]] if words[1:] else words)

@@ -19,15 +19,20 @@ STEP = 9
 
 def convergence_table(view: View) -> TableBlock:
     """Return the search, generation by generation."""
-    rows = spaced(view.record.history, GENERATIONS)
-    empires = any(row.empires for row in rows)
-    return TableBlock("The search, generation by generation", (
-        "evaluations", "best", "median", "infeasible", *["empires left"] * empires), [
-            (str(row.evaluations), *("-" if value is None else f"{value:.4g}"
-                                        for value in (row.best, row.median)),
-             f"{1 - row.feasible:.0%}",
-             *[str(sum(map(bool, row.empires)))] * empires) for row in rows],
-        folded=True)
+    history = spaced(view.record.history, GENERATIONS)
+    has_empires = any(generation.empires for generation in history)
+    rows = []
+    for generation in history:
+        values = ["-" if value is None else f"{value:.4g}"
+                  for value in (generation.best, generation.median)]
+        row = [str(generation.evaluations), *values, f"{1 - generation.feasible:.0%}"]
+        if has_empires:
+            row.append(str(sum(map(bool, generation.empires))))
+        rows.append(tuple(row))
+    columns = ["evaluations", "best", "median", "infeasible"]
+    if has_empires:
+        columns.append("empires left")
+    return TableBlock("The search, generation by generation", tuple(columns), rows, folded=True)
 
 
 def frequency_table(view: View) -> TableBlock:
@@ -47,6 +52,7 @@ def term_table(view: View) -> TableBlock:
 
 def correlation_table(view: View) -> TableBlock:
     """Return the pairs of coefficients that correlate most."""
+    # By size, whatever the sign.
     pairs = sorted(view.correlations, key=lambda row: -abs(row["correlation"]))
     return TableBlock(
         "Pairs of coefficients that correlate most", ("term", "and term", "correlation"),
@@ -57,6 +63,7 @@ def correlation_table(view: View) -> TableBlock:
 def sigma_table(view: View) -> TableBlock:
     """Return the standard deviation at places all over the image."""
     cells = view.sigma
+    # Every ninth line and column of the map: a table of all would be hundreds of rows.
     rows = sorted({cell["line"] for cell in cells})[::STEP]
     columns = sorted({cell["sample"] for cell in cells})[::STEP]
     return TableBlock("Standard deviation across the image", (

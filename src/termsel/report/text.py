@@ -27,15 +27,16 @@ _LABEL = 10
 """Characters of the column of labels on the first screen."""
 
 
-def text_of(document: Document, *, whole: bool = True, titled: bool = True) -> str:
+def text_of(document: Document, *, with_details: bool = True, titled: bool = True) -> str:
     """Return what is shown of a result or a study as text: the whole of it, or without details.
 
     `titled` is whether it begins with the title, and not with the facts.
     """
     lines = [document.title, *_wrapped(document.subtitle)] if titled else []
-    lines += _lines(_shown(document.facts, whole))
+    # Details are what --verbose adds; figures have no text.
+    lines += _lines(_shown(document.facts, with_details))
     for section in document.sections:
-        if blocks := list(_shown(section.blocks, whole)):
+        if blocks := list(_shown(section.blocks, with_details)):
             lines += ["", section.title, *_lines(blocks)]
     # File names may have what a terminal would obey.
     return printable("\n".join(lines)) + "\n"
@@ -46,23 +47,23 @@ def first_screen_of(document: Document) -> str:
     return printable("\n".join(_lines(document.facts))) + "\n"
 
 
-def _shown(blocks: Iterable[Block], whole: bool) -> Iterator[Block]:
+def _shown(blocks: Iterable[Block], with_details: bool) -> Iterator[Block]:
     """Yield the blocks that a text shows."""
     for block in blocks:
         if isinstance(block, Detail):
-            yield from _shown([block.block] if whole else [], whole)
+            yield from _shown([block.block] if with_details else [], with_details)
         elif not (isinstance(block, Figure) or (isinstance(block, TableBlock) and block.folded)):
             yield block
 
 
 def _lines(blocks: Iterable[Block]) -> Iterator[str]:
     """Yield the lines of blocks, with an empty one around each table."""
-    apart = False
+    after_table = False
     for i, block in enumerate(blocks):
         is_table = isinstance(block, TableBlock | Code)
-        if i and (apart or is_table):
+        if i and (after_table or is_table):
             yield ""
-        apart = is_table
+        after_table = is_table
         yield from _block(block)
 
 
@@ -87,30 +88,34 @@ def _fact(fact: Fact) -> Iterator[str]:
         yield from textwrap.wrap(fact.text, _WIDTH, initial_indent=fact.label.ljust(_LABEL),
                                  subsequent_indent=" " * _LABEL, break_on_hyphens=False)
     else:
+        # A fact without text is an empty line on purpose.
         yield from _wrapped(fact.text, 4) or [""]
 
 
 def _table(table: TableBlock) -> Iterator[str]:
-    yield from [table.caption] * bool(table.caption)
+    if table.caption:
+        yield table.caption
     if len(table.rows) > _LONGEST_TABLE:
         yield f"{len(table.rows)} rows; result.json has all of them"
         return
     columns = [i for i in range(len(table.columns)) if i not in table.page_only]
-    lines = list(_aligned([[row[i] for i in columns] for row in (table.columns, *table.rows)],
-                         map(table.has_words, columns)))
+    rows = [[row[i] for i in columns] for row in (table.columns, *table.rows)]
+    lines = list(_aligned(rows, map(table.has_words, columns)))
     if table.marked is not None:
         lines = [("-> " if i == table.marked + 1 else "   ") + line
                  for i, line in enumerate(lines)]
     yield from lines
 
 
-def _aligned(rows: Sequence[Sequence[str]], left: Iterable[bool]) -> Iterator[str]:
-    """Yield rows in columns; `left` says of which the cells begin at the left, as words do."""
-    columns = [(min(max(map(len, column)), _WIDEST_COLUMN), words)
-               for column, words in zip(zip(*rows, strict=True), left, strict=True)]
+def _aligned(rows: Sequence[Sequence[str]], are_words: Iterable[bool]) -> Iterator[str]:
+    """Yield rows in columns: words begin at the left, numbers end at the right."""
+    # A column is as wide as its widest cell, unless that is a list of names.
+    widths = [min(max(map(len, column)), _WIDEST_COLUMN) for column in zip(*rows, strict=True)]
+    are_words = list(are_words)
     for row in rows:
-        yield "  ".join(cell.ljust(width) if words else cell.rjust(width)
-                        for cell, (width, words) in zip(row, columns, strict=True)).rstrip()
+        cells = [cell.ljust(width) if words else cell.rjust(width)
+                 for cell, width, words in zip(row, widths, are_words, strict=True)]
+        yield "  ".join(cells).rstrip()
 
 
 def _wrapped(text: str, indent: int = 0) -> list[str]:

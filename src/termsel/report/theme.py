@@ -74,9 +74,12 @@ def styled(chart: Any, title: str = "", look: str = "") -> Any:
 
 def dark_style() -> str:
     """Return the rules of a page that give charts the colours of a dark one on the screen."""
-    rules = "\n".join(f'  svg [{of}="{light}"] {{ {of}: {dark}; }}'
-                      for light, dark in DARK.items() for of in ("fill", "stroke"))
-    return f"@media screen and (prefers-color-scheme: dark) {{\n{rules}\n}}\n"
+    rules = []
+    for light, dark in DARK.items():
+        for attribute in ("fill", "stroke"):
+            rules.append(f'  svg [{attribute}="{light}"] {{ {attribute}: {dark}; }}')
+    block = "\n".join(rules)
+    return f"@media screen and (prefers-color-scheme: dark) {{\n{block}\n}}\n"
 
 
 def _wrapped(text: str, width: int = 84) -> list[str]:
@@ -87,8 +90,10 @@ def _wrapped(text: str, width: int = 84) -> list[str]:
 
 def chart_rows(rows: list[dict[str, Any]]) -> Any:
     """Return rows as data of a chart; what is false is left out, as what is missing is false."""
-    return _shared()(values=[{key: value for key, value in row.items() if value is not False}
-                             for row in rows])
+    values = []
+    for row in rows:
+        values.append({key: value for key, value in row.items() if value is not False})
+    return _shared()(values=values)
 
 
 @cache

@@ -16,6 +16,7 @@ CERTAINTY = {"certain": "blunder", "probable": "probable blunder", "possible": "
 
 def off_option(record: Record) -> str:
     """Return the option that leaves out blunders in use, independent ones too; "" for none."""
+    # A possible blunder is no reason to leave a point out; it is shown, and stays.
     wrong = [outlier.id for outlier in record.outliers
              if not outlier.excluded and outlier.certainty != "possible"]
     return f"--off {shlex.quote(','.join(wrong))}" if wrong else ""
@@ -51,6 +52,7 @@ def verdict_table(record: Record) -> Iterator[Block]:
     if "possible" in certainties:
         yield ("For a possible blunder the other features are too few or too far away to decide: "
                "look at it in the image.")
+    # Control that fits and was not selected is no outlier: the search did without it.
     spare = set(record.data.roles.control).difference(
         record.selection.features, (outlier.id for outlier in outliers))
     if spare and not record.strategy:

@@ -50,6 +50,7 @@ class View:
     @cached_property
     def image_box(self) -> tuple[float, float, float, float]:
         """First line, first sample, last line, last sample [px]: of the image, or of features."""
+        # By the centres of the first and the last pixel.
         if self.features.image_size is not None:
             lines, samples = self.features.image_size
             return 0.0, 0.0, lines - 1.0, samples - 1.0
@@ -72,6 +73,7 @@ class View:
     def in_image(self) -> list[Row]:
         """Residuals with their places in the image: line, sample, dl, ds [px]."""
         rows = []
+        # Rows of charts are kept short: a page holds thousands.
         for r, (line, sample) in zip(self._drawn, self._seen, strict=True):
             if np.isfinite([line, sample, r.distance]).all():
                 rows.append({**self._named(r), "line": _short(line), "sample": _short(sample),
@@ -95,6 +97,7 @@ class View:
     def worst(self) -> list[Row]:
         """Features by their largest residual, the largest first."""
         largest: dict[str, Row] = {}
+        # A feature of several vertices has the largest of their residuals.
         for i in self._by_length[:None if self._drawn is self.residuals else LARGEST]:
             if np.isfinite(self.residuals[i].distance):
                 largest.setdefault(self.residuals[i].id, self._named(self.residuals[i]))
@@ -104,9 +107,9 @@ class View:
     def lines(self) -> list[Row]:
         """Control lines as measured in the image: line, sample, line2, sample2 [px]."""
         lines = self.features.lines
-        chosen = set(self.record.selection.features)
+        selected = set(self.record.selection.features)
         blunders = {outlier.id for outlier in self.record.outliers}
-        return [{"id": name, "role": "control" if name in chosen else
+        return [{"id": name, "role": "control" if name in selected else
                  "rejected" if name in blunders else "left out",
                  "blunder": name in blunders, "line": _short(l1), "sample": _short(s1),
                  "line2": _short(l2), "sample2": _short(s2)}
@@ -123,12 +126,14 @@ class View:
         """Length of a unit of x over that of a unit of y on the ground."""
         if not is_geographic(self.features.crs):
             return 1.0
+        # cos(latitude); at a pole it would be 0, and a map have no width.
         return max(float(np.cos(np.radians(np.nanmean(self._ground[:, 1])))), 0.05)
 
     @cached_property
     def units_per_metre(self) -> float | None:
         """Units of y on the ground in a metre; None where that is not known."""
         middle = np.nanmean(self._ground[:, :2], axis=0, keepdims=True)  # heights may be unknown
+        # About a metre: a degree is 111 km.
         step = 1e-5 if is_geographic(self.features.crs) else 1.0
         metres = in_metres(self.features.crs, middle, np.array([[0.0, step]]))
         return None if metres is None else step / float(metres[0, 1])
@@ -137,8 +142,10 @@ class View:
     def sigma(self) -> list[Row]:
         """Standard deviation of the fit in cells of the image: its ends and sigma [px]."""
         image, ground = scene_grid(self.fit, SIGMA_SIDE, SMOOTH, self.image_box)
+        # What all images of a block share adds to what this one has: variances add.
         sigma = np.linalg.norm(np.hypot(self.fit.sigma(ground),
                                         self.record.shared_sigma or 0.0), axis=1)
+        # Cells reach half the distance of nodes to either side.
         half_line, half_sample = ((image[-1] - image[0]) / (SIGMA_SIDE - 1) / 2).tolist()
         return [{"line": _short(line - half_line), "line2": _short(line + half_line),
                  "sample": _short(sample - half_sample), "sample2": _short(sample + half_sample),
@@ -172,22 +179,30 @@ class View:
         if matrix is None or not self.fit.estimator.least_squares:
             return []
         names = select(self.fit.model.terms, self.fit.terms)
-        return [{"one": names[i], "other": names[j], "correlation": float(matrix[i, j])}
-                for i in range(len(names)) for j in range(i) if np.isfinite(matrix[i, j])]
+        rows = []
+        # Below the diagonal: each pair once.
+        for i in range(len(names)):
+            for j in range(i):
+                if np.isfinite(matrix[i, j]):
+                    rows.append({"one": names[i], "other": names[j],
+                                 "correlation": float(matrix[i, j])})
+        return rows
 
     @cached_property
     def members(self) -> list[Row]:
         """Residuals in the image by all members of the front: dls, dss [`unit`], one a member."""
-        each = self._by_member
         unit = self.unit
         rows = []
         for i, r, (line, sample) in zip(self._which, self._drawn, self._seen, strict=True):
-            if np.isfinite([line, sample, *(value for member in each for value in (
-                    member[i].line, member[i].sample))]).all():
+            of_members = [residuals[i] for residuals in self._by_member]
+            values = [line, sample]
+            for residual in of_members:
+                values += [residual.line, residual.sample]
+            if np.isfinite(values).all():
                 rows.append({**self._named(r), "line": _short(line), "sample": _short(sample),
-                             "dls": [round(member[i].line / unit) for member in each],
-                             "dss": [round(member[i].sample / unit) for member in each],
-                             "uses": [int(member[i].used) for member in each]})
+                             "dls": [round(residual.line / unit) for residual in of_members],
+                             "dss": [round(residual.sample / unit) for residual in of_members],
+                             "uses": [int(residual.used) for residual in of_members]})
         return rows
 
     @cached_property
@@ -196,8 +211,11 @@ class View:
 
         Whole numbers of it take half the space of numbers in px.
         """
-        lengths = [r.distance for member in self._by_member for r in member]
-        median = float(np.median([length for length in lengths if np.isfinite(length)] or [0.0]))
+        lengths: list[float] = []
+        for residuals in self._by_member:
+            lengths += [residual.distance for residual in residuals]
+        finite = [length for length in lengths if np.isfinite(length)]
+        median = float(np.median(finite or [0.0]))
         return float(f"{10.0 ** (np.floor(np.log10(median)) - 2):.0e}") if median > 0 else 1.0
 
     @cached_property
@@ -219,18 +237,20 @@ class View:
     def _by_length(self) -> list[int]:
         """The residuals, the largest first, unknown ones last."""
         lengths = np.array([r.distance for r in self.residuals])
+        # NaN is last in any order; a stable sort keeps that of the file among equal ones.
         return [int(i) for i in np.argsort(-lengths, kind="stable")]
 
     @property
     def _step(self) -> int:
         """Every how manieth residual is drawn."""
+        # The negative of the floor of the negative rounds upwards.
         return -(-len(self.residuals) // (DRAWN - LARGEST)) if len(self.residuals) > DRAWN else 1
 
     @cached_property
     def _which(self) -> list[int]:
         """Which residuals are drawn."""
-        every = range(0, len(self.residuals), self._step)
-        return sorted({*every, *self._by_length[:LARGEST]})
+        regular = range(0, len(self.residuals), self._step)
+        return sorted({*regular, *self._by_length[:LARGEST]})
 
     @cached_property
     def _drawn(self) -> Residuals:
@@ -241,6 +261,8 @@ class View:
     @cached_property
     def _seen(self) -> list[list[float]]:
         """Places of the residuals in the image: as measured, of vertices as computed."""
+        # Points were measured; of lines only the ground is known, so that the model tells where it
+        # is seen.
         measured = dict(zip(self.features.points.ids, self.features.points.image.tolist(),
                             strict=True))
         return [measured[r.id] if r.kind == "point" else computed for r, computed in zip(
@@ -249,6 +271,7 @@ class View:
     @cached_property
     def _in_use(self) -> FloatArray:
         """Places of the control in use in the image, shape (n, 2)."""
+        # The refit to all points has no points left to show as independent.
         original = self.fit.original or self.fit
         return original.control.take(original.used).image_vertices()
 
@@ -265,10 +288,10 @@ class View:
                 "distance": _short(r.distance, 4)}
 
 
-def _box(places: FloatArray) -> tuple[float, float, float, float]:
+def _box(points: FloatArray) -> tuple[float, float, float, float]:
     """Return the least, then the greatest of both coordinates, shape (n, 2)."""
-    (a, b) = places.min(axis=0).tolist()
-    (c, d) = places.max(axis=0).tolist()
+    (a, b) = points.min(axis=0).tolist()
+    (c, d) = points.max(axis=0).tolist()
     return a, b, c, d
 
 

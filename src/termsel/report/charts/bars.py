@@ -40,16 +40,22 @@ def worst_bars(view: View) -> Any:
     """Return the largest residuals as bars, the largest first; those beyond the axis are broken."""
     alt = require_altair()
     end = axis_end(view)
-    rows = [{**row, "end": min(row["distance"], end), "broken": row["distance"] > end,
-             "label": ", ".join([f"{row['distance']:.3g} px"] * (row["distance"] > end)
-                                + [CERTAINTY[word] for word in [row["blunder"]] if word])}
-            for row in view.worst[:WORST]]
+    rows = []
+    for row in view.worst[:WORST]:
+        is_broken = row["distance"] > end
+        words = [f"{row['distance']:.3g} px"] if is_broken else []
+        if row["blunder"]:
+            words.append(CERTAINTY[row["blunder"]])
+        rows.append({**row, "end": min(row["distance"], end), "broken": is_broken,
+                     "label": ", ".join(words)})
+    # One choice for all charts of a page: what is picked in one is marked in the others.
     picked = alt.selection_point(name="picked", fields=["id"], empty=False)
     base = alt.Chart(chart_rows(rows)).encode(
         y=alt.Y("id:N", sort=[row["id"] for row in rows], title=None, axis=alt.Axis(
             labelLimit=120, ticks=False, domain=False)))
     roles = {row["role"] for row in rows}
     x = alt.X("end:Q", title="residual [px]", scale=alt.Scale(
+        # Without an end Vega chooses one.
         domain=[0, end], nice=False) if np.isfinite(end) else alt.Undefined)
     bars = base.mark_bar(cursor="pointer", height={"band": 0.72}).encode(
         x=x, color=alt.Color("role:N", scale=legend_of(ROLE_COLOURS, roles),
@@ -65,6 +71,7 @@ def worst_bars(view: View) -> Any:
             text="//", fontSize=17, fontWeight="bold", color=GROUND, dx=-26, aria=False,
         ).encode(x=x))
     if any(row["label"] for row in rows):
+        # The label of a blunder has its colour, as the bar has that of its role.
         layers.append(base.mark_text(
             align="left", dx=5, fontSize=10.5, fontWeight=600, aria=False).encode(
                 x=x, text="label:N", color=alt.condition(
@@ -75,9 +82,10 @@ def worst_bars(view: View) -> Any:
 def axis_end(view: View) -> float:
     """Return where bars of the worst residuals are broken [px]; infinite where none need be."""
     distances = [row["distance"] for row in view.worst[:WORST]]
+    # A bar of more than FLATTENED medians would press the others flat.
     high = FLATTENED * float(np.median(distances)) if distances else 0.0
-    within = max((distance for distance in distances if distance <= high), default=0.0)
-    return 1.3 * within if distances and max(distances) > high > 0 else float("inf")
+    longest_whole = max((distance for distance in distances if distance <= high), default=0.0)
+    return 1.3 * longest_whole if distances and max(distances) > high > 0 else float("inf")
 
 
 def broken(view: View) -> str:
@@ -86,6 +94,7 @@ def broken(view: View) -> str:
     if np.isfinite(axis_end(view)):
         sentences.append(
             "Bars with a break are longer than the axis; their length is written beside them.")
+    # Two tests of the same points have two errors: without and with the point in the fit.
     if any(row["role"] == "rejected" for row in view.worst[:WORST]):
         sentences.append("Residuals of rejected outliers are from the final fit; the outlier test "
                          "compared them with predictions by the others, so its sizes differ.")
@@ -97,6 +106,7 @@ def baseline_bars(view: View) -> Any:
     alt = require_altair()
     rows, _ = shown_fits(view)
     roles = {row["role"]: ROLE_COLOURS[row["role"]] for row in rows}
+    # The result stands first, the others by what they reach.
     order = [THIS, *sorted({row["fit"] for row in rows} - {THIS}, key=_rmse_of(rows).__getitem__)]
     scale, kind = spread_scale([row["rmse"] for row in rows], zero=True)
     x = alt.X("rmse:Q", title=f"RMSE [px], with 90 % interval{kind}", scale=scale)
@@ -114,6 +124,7 @@ def baseline_bars(view: View) -> Any:
             alt.Tooltip("note:N", title="selection points")]
     shape = alt.Shape("role:N", scale=alt.Scale(
         domain=list(roles), range=[ROLE_SHAPES[role] for role in roles]), legend=role_legend())
+    # The interval below the symbol, so that it can be picked.
     return alt.layer(
         base.mark_rule(strokeWidth=2.2, opacity=0.65).encode(x=x, x2="high:Q").transform_calculate(
             rmse="datum.low"),
@@ -133,6 +144,7 @@ def shown_fits(view: View) -> tuple[list[Row], dict[str, float]]:
     """
     rows = fit_rows(view)
     errors = _rmse_of(rows)
+    # A fit that failed would leave the others no room on the axis.
     longest = FAILED * float(np.median(list(errors.values())))
     failed = {fit: error for fit, error in errors.items() if error > longest and fit != THIS}
     return [row for row in rows if row["fit"] not in failed], failed
@@ -141,6 +153,7 @@ def shown_fits(view: View) -> tuple[list[Row], dict[str, float]]:
 def _rmse_of(rows: list[Row]) -> dict[str, float]:
     """Return the RMSE [px] of each fit: at independent check points if it has one there."""
     of_check = {row["fit"]: row["rmse"] for row in rows if row["role"] == "check"}
+    # Independent points win where a fit has both.
     return of_check | {row["fit"]: row["rmse"] for row in rows if row["role"] == "independent"}
 
 

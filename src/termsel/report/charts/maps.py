@@ -46,17 +46,19 @@ def image_map(view: View, image: str = "", rows: list[Row] | None = None,
         The choice of the member whose residuals are drawn.
     """
     alt = require_altair()
-    top, left, bottom, right = view.image_box
-    wide = max(right - left, 1.0)
+    top, left_sample, bottom, right_sample = view.image_box
+    wide = max(right_sample - left_sample, 1.0)
     high = max(bottom - top, 1.0)
     margin = MARGIN * max(wide, high)
     rows = view.in_image if rows is None else rows
     x = alt.X("sample:Q", title="sample [px]", axis=alt.Axis(grid=False, tickCount=6),
-              scale=alt.Scale(domain=[left - margin, right + margin], nice=False, zero=False))
+              scale=alt.Scale(domain=[left_sample - margin, right_sample + margin], nice=False,
+                              zero=False))
     y = alt.Y("line:Q", title="line [px]", axis=alt.Axis(grid=False, tickCount=6),
+              # Lines are counted downwards.
               scale=alt.Scale(domain=[bottom + margin, top - margin], nice=False, zero=False))
-    frame = alt.Chart(chart_rows([{"line": top, "sample": left, "line2": bottom, "sample2": right,
-                             "url": image}]))
+    frame = alt.Chart(chart_rows([{"line": top, "sample": left_sample, "line2": bottom,
+                                   "sample2": right_sample, "url": image}]))
     ends = {"x": x, "y": y, "x2": "sample2:Q", "y2": "line2:Q"}
     layers = [frame.mark_image(aspect=False).encode(url="url:N", **ends)] if image else []
     layers.append(frame.mark_rect(fill=None, stroke=EDGE, strokeWidth=1.2).encode(**ends))
@@ -67,12 +69,13 @@ def image_map(view: View, image: str = "", rows: list[Row] | None = None,
                 strokeDash=alt.condition("datum.blunder", alt.value([4, 3]),
                                          alt.value([1, 0])),
                 tooltip=[alt.Tooltip("id:N", title="line")], **ends))
+    # Of all residuals, not of the chosen member, so that members can be compared by their arrows.
     scale = _exaggeration([float(np.hypot(row["dl"], row["ds"])) for row in view.in_image], wide)
     layers += _arrows(view, rows, x, y, ("ds", "dl"), scale, downwards=True, member=member)
     length = nice(0.2 * wide / scale)  # a pixel may be wider than the map
     length = 1.0 if length > 1 and scale > 0.02 * wide else length  # or too short to be seen
-    layers.append(_bar(left, bottom + 0.55 * margin, length, f"{length:g} px", "sample", "line",
-                       x, y))
+    layers.append(_bar(left_sample, bottom + 0.55 * margin, length, f"{length:g} px", "sample",
+                       "line", x, y))
     return _map(layers, (wide + 2 * margin) / (high + 2 * margin))
 
 
@@ -80,25 +83,27 @@ def ground_map(view: View) -> Any:
     """Return residuals as arrows on the ground, in the CRS of the control."""
     alt = require_altair()
     rows = view.on_ground
-    left, bottom, right, top = view.ground_box
-    wide = max(right - left, 1e-9)
-    tall = max(top - bottom, 1e-9)
+    west, south, east, north = view.ground_box
+    wide = max(east - west, 1e-9)
+    tall = max(north - south, 1e-9)
+    # A degree of longitude is shorter than one of latitude: lengths on the map are in units of y.
     margin = MARGIN * max(wide * view.flattening, tall)
     across = margin / view.flattening
     of_x, of_y = _axes(view)
     x = alt.X("x:Q", title=of_x, axis=alt.Axis(grid=False, tickCount=5),
-              scale=alt.Scale(domain=[left - across, right + across], nice=False, zero=False))
+              scale=alt.Scale(domain=[west - across, east + across], nice=False, zero=False))
     y = alt.Y("y:Q", title=of_y, axis=alt.Axis(grid=False, tickCount=6),
-              scale=alt.Scale(domain=[bottom - 2 * margin, top + margin], nice=False,
+              scale=alt.Scale(domain=[south - 2 * margin, north + margin], nice=False,
                               zero=False))
     scale = _exaggeration([float(np.hypot(row["dx"] * view.flattening, row["dy"]))
                            for row in rows], tall)
     layers = _arrows(view, rows, x, y, ("dx", "dy"), scale, downwards=False,
+                     # Without metres the length of the arrows has no scale.
                      metres=view.units_per_metre is not None, flat=view.flattening)
     if view.units_per_metre is not None:
         metre = view.units_per_metre / view.flattening
         length = nice(0.2 * wide / (scale * metre))
-        layers.append(_bar(left, bottom - 1.3 * margin, length * metre,
+        layers.append(_bar(west, south - 1.3 * margin, length * metre,
                            f"{length:g} m", "x", "y", x, y))
     return _map(layers, (wide * view.flattening + 2 * margin) / (tall + 3 * margin))
 
@@ -106,11 +111,11 @@ def ground_map(view: View) -> Any:
 def sigma_map(view: View) -> Any:
     """Return the predicted standard deviation over the image, with the hull of the control."""
     alt = require_altair()
-    top, left, bottom, right = view.image_box
+    top, left_sample, bottom, right_sample = view.image_box
     cells = view.sigma
     axis = alt.Axis(grid=False, tickCount=6)
     x = alt.X("sample:Q", title="sample [px]", axis=axis,
-              scale=alt.Scale(domain=[left, right], nice=False, zero=False))
+              scale=alt.Scale(domain=[left_sample, right_sample], nice=False, zero=False))
     y = alt.Y("line:Q", title="line [px]", axis=axis,
               scale=alt.Scale(domain=[bottom, top], nice=False, zero=False))
     colour = alt.Color("sigma:Q", scale=alt.Scale(scheme="viridis", reverse=True),
@@ -124,10 +129,11 @@ def sigma_map(view: View) -> Any:
         alt.Chart(chart_rows(view.control)).mark_point(
             filled=True, size=26, color="white", stroke="black", strokeWidth=0.9,
             opacity=1).encode(x=x, y=y)]  # the colours below are the same on dark pages
-    return _map(layers, max(right - left, 1.0) / max(bottom - top, 1.0))
+    return _map(layers, max(right_sample - left_sample, 1.0) / max(bottom - top, 1.0))
 
 
 def _map(layers: list[Any], aspect: float) -> Any:
+    # A strip of one orbit may be a hundred times as long as wide; on the map it is cut to three.
     aspect = min(max(aspect, 0.4), 3.0)
     wide = WIDTH if aspect >= 0.9 else WIDTH * aspect / 0.9
     return require_altair().layer(*layers).properties(width=round(wide),
@@ -139,13 +145,16 @@ def _arrows(view: View, rows: list[Row], x: Any, y: Any, vector: tuple[str, str]
             member: Any = None) -> list[Any]:
     """Return the layers of arrows with a scale to drag, of symbols, of rings and of a choice."""
     alt = require_altair()
-    across, along = vector
+    horizontal, vertical = vector
+    # Channels are written "field:type".
     at_x, at_y = (channel.shorthand.partition(":")[0] for channel in (x, y))
     drag = alt.param(name="exaggeration", value=scale, bind=alt.binding_range(
         min=0, max=3 * scale, step=scale / 50, name="Length of arrows [times true length] "))
     picked = alt.selection_point(name="picked", fields=["id"], empty=False)
     base = alt.Chart(chart_rows(rows))
     if member is not None:
+        # The data of the page hold the residuals of all members, and the browser takes those of the
+        # choice.
         number = "(member.member ? member.member[0] : 0)"
         base = base.transform_calculate(
             dl=f"{view.unit:g} * datum.dls[{number}]", ds=f"{view.unit:g} * datum.dss[{number}]",
@@ -154,16 +163,19 @@ def _arrows(view: View, rows: list[Row], x: Any, y: Any, vector: tuple[str, str]
             role=f"datum.role != 'control' && datum.role != 'left out' ? datum.role : "
                  f"datum.uses[{number}] ? 'control' : 'left out'")
     base = base.transform_calculate(
-        end_x=f"datum.{at_x} + exaggeration * datum.{across}",
-        end_y=f"datum.{at_y} + exaggeration * datum.{along}",
-        turn=f"atan2({flat:.6g} * datum.{across}, {'-' if downwards else ''}datum.{along})"
+        end_x=f"datum.{at_x} + exaggeration * datum.{horizontal}",
+        # The angle of the wedge, clockwise from upwards, as Vega measures it.
+        end_y=f"datum.{at_y} + exaggeration * datum.{vertical}",
+        turn=f"atan2({flat:.6g} * datum.{horizontal}, {'-' if downwards else ''}datum.{vertical})"
              " * 180 / PI")
     colour = _colour(view, rows)
     tooltip = [alt.Tooltip("id:N"), alt.Tooltip("role:N"),
-            alt.Tooltip("distance:Q", title="residual [px]", format=".3g"),
-            *[alt.Tooltip("metres:Q", title="on the ground [m]", format=".3g")] * metres]
+               alt.Tooltip("distance:Q", title="residual [px]", format=".3g")]
+    if metres:
+        tooltip.append(alt.Tooltip("metres:Q", title="on the ground [m]", format=".3g"))
     shape = alt.Shape("role:N", scale=legend_of(ROLE_SHAPES, _roles(view, rows)),
                       legend=role_legend())
+    # From below to above: arrows, rings of blunders and of the choice, points, lines.
     layers = [
         base.mark_rule(strokeWidth=1.5, clip=True, aria=False).encode(
             x=x, y=y, x2="end_x:Q", y2="end_y:Q", color=colour),
@@ -185,7 +197,10 @@ def _arrows(view: View, rows: list[Row], x: Any, y: Any, vector: tuple[str, str]
         layers.append(base.transform_filter("datum.kind == 'line'").mark_point(
             filled=True, size=14, opacity=1, cursor="pointer").encode(
                 x=x, y=y, color=colour, tooltip=tooltip))
-    layers[-1] = layers[-1].add_params(picked, *[member] * (member is not None))
+    # Parameters belong to one layer each; the last one is what can be clicked.
+    layers[-1] = layers[-1].add_params(picked)
+    if member is not None:
+        layers[-1] = layers[-1].add_params(member)
     layers[0] = layers[0].add_params(drag)
     return layers
 
@@ -216,15 +231,17 @@ def _axes(view: View) -> tuple[str, str]:
 
 def _of(channel: Any, field: str) -> Any:
     """Return the same axis for another field."""
-    other = channel.copy()
-    other.shorthand = f"{field}:Q"
-    return other
+    channel_of_field = channel.copy()
+    channel_of_field.shorthand = f"{field}:Q"
+    return channel_of_field
 
 
 def _roles(view: View, rows: list[Row]) -> set[str]:
-    some = {"left out"} if any(0 in row.get("uses", ()) and row["role"] == "control"
-                               for row in rows) else set()
-    return some | {row["role"] for row in (*rows, *view.lines)}
+    present = {row["role"] for row in (*rows, *view.lines)}
+    # Of members of a front, control points in use by some are left out by others.
+    if any(0 in row.get("uses", ()) and row["role"] == "control" for row in rows):
+        present.add("left out")
+    return present
 
 
 def _colour(view: View, rows: list[Row]) -> Any:
@@ -234,5 +251,6 @@ def _colour(view: View, rows: list[Row]) -> Any:
 
 
 def _exaggeration(lengths: list[float], wide: float) -> float:
+    # The median, as a blunder would make all others invisible.
     median = float(np.median(lengths)) if lengths else 0.0
     return nice(LENGTH * wide / median) if median > ROUNDING * wide else 1.0

@@ -35,6 +35,7 @@ def front(view: View) -> Any:
     """Return the front: RMSE of check and independent points against terms or features."""
     alt = require_altair()
     rows = front_rows(view)
+    # The axis of sizes has whole numbers only.
     size = counted_by(view.record.front)
     member = choice(view)
     scale, kind = spread_scale([row["rmse"] for row in rows], zero=False)
@@ -68,16 +69,20 @@ def members(view: View, image: str = "") -> Any:
 
 def front_rows(view: View) -> list[Row]:
     """Return a row for check and independent points of each member."""
-    members = view.record.front
-    chosen = _recommended(view)
-    return [{"member": i, "size": member.objectives[size_of(member)], "points": points,
-             "rmse": member.rmse.by_role[points].total, "recommended": i == chosen}
-            for i, member in enumerate(members) for points in ("check", "independent")
-            if member.rmse.by_role[points].total]
+    recommended = _recommended(view)
+    rows: list[Row] = []
+    for i, member in enumerate(view.record.front):
+        for role in ("check", "independent"):
+            rmse = member.rmse.by_role[role].total
+            if rmse:
+                rows.append({"member": i, "size": member.objectives[size_of(member)],
+                             "points": role, "rmse": rmse, "recommended": i == recommended})
+    return rows
 
 
 def choice(view: View) -> Any:
     """Return the choice of a member, at first the recommended one."""
+    # There is always one member chosen, so that the map below is never empty.
     return require_altair().selection_point(
         name="member", fields=["member"], value=[{"member": _recommended(view)}], clear=False,
         toggle=False, empty=False)
@@ -92,19 +97,22 @@ def convergence(view: View) -> Any:
     alt = require_altair()
     history = spaced(view.record.history, MOST)
     criterion = view.record.criterion
-    lines: list[Row] = [
-        {"evaluations": generation.evaluations, "what": what, "value": value}
-        for generation in history
-        for what, value in (("best", generation.best), ("median", generation.median))
-        if value is not None]
+    lines: list[Row] = []
+    for generation in history:
+        for statistic, value in (("best", generation.best), ("median", generation.median)):
+            if value is not None:
+                lines.append({"evaluations": generation.evaluations, "what": statistic,
+                              "value": value})
     share = [{"evaluations": generation.evaluations, "infeasible": 1.0 - generation.feasible}
              for generation in history]
+    # Criteria differ by powers of ten in the course of a search.
     scale, kind = spread_scale([row["value"] for row in lines], zero=False)
     x = alt.X("evaluations:Q", axis=alt.Axis(format=",d", tickCount=6))
     colour = alt.Color("what:N", scale=alt.Scale(domain=["best", "median"],
                                                  range=[CONTROL, CHECK]))
     area = alt.Chart(chart_rows(share)).mark_area(
         color=EDGE, opacity=0.45, interpolate="step-after").encode(
+        # Between generations nothing is known: steps, not slopes.
         x=x, y=alt.Y("infeasible:Q", title="infeasible share of the population",
                      scale=alt.Scale(domain=[0, 1]),
                      axis=alt.Axis(format="%", orient="right", grid=False, titleColor=FAINT)))
@@ -115,6 +123,7 @@ def convergence(view: View) -> Any:
         y=alt.Y("value:Q", title=f"{with_unit(criterion)}{kind}", scale=scale),
         tooltip=[alt.Tooltip("evaluations:Q", format=",d"), alt.Tooltip("what:N"),
                  alt.Tooltip("value:Q", title=criterion, format=".4g")])
+    # Both axes have scales of their own, as a share and an RMSE have nothing in common.
     return alt.layer(area, drawn).resolve_scale(y="independent").properties(
         width=WIDTH, height=0.45 * WIDTH)
 
@@ -122,20 +131,23 @@ def convergence(view: View) -> Any:
 def refined(view: View) -> str:
     """Return how many evaluations follow the search in its local refinement; "" if none do."""
     searched = view.record.history[-1].evaluations
-    rest = view.record.evaluations - searched
+    refining = view.record.evaluations - searched
     return (f"The search ended after {searched:,} evaluations; the local refinement used "
-            f"{rest:,} more, which are not drawn.") if rest > 0 else ""
+            f"{refining:,} more, which are not drawn.") if refining > 0 else ""
 
 
 def empires(view: View) -> Any:
     """Return how many countries each empire of the ICA has, as bands of the population."""
     alt = require_altair()
     counted = [generation for generation in view.record.history if generation.empires]
-    most = max(AREAS // max(len(generation.empires) for generation in counted), 2)
-    rows = [{"evaluations": generation.evaluations, "empire": i + 1, "countries": countries,
-             "left": sum(map(bool, generation.empires))}
-            for generation in spaced(counted, most)
-            for i, countries in enumerate(generation.empires)]
+    # A chart of more areas than AREAS takes a browser seconds to draw.
+    generations = max(AREAS // max(len(generation.empires) for generation in counted), 2)
+    rows: list[Row] = []
+    for generation in spaced(counted, generations):
+        remaining = sum(map(bool, generation.empires))
+        for i, countries in enumerate(generation.empires):
+            rows.append({"evaluations": generation.evaluations, "empire": i + 1,
+                         "countries": countries, "left": remaining})
     return alt.Chart(chart_rows(rows)).mark_area(stroke=GROUND, strokeWidth=1, opacity=1).encode(
         x=alt.X("evaluations:Q", axis=alt.Axis(format=",d", tickCount=6)),
         y=alt.Y("countries:Q", stack="zero", title="countries in the population"),
@@ -152,18 +164,19 @@ def empires(view: View) -> Any:
 
 def with_unit(criterion: str) -> str:
     """Return the name of a criterion, with its unit where it has one."""
-    return criterion + " [px]" * (criterion in _IN_PIXELS)
+    return f"{criterion} [px]" if criterion in _IN_PIXELS else criterion
 
 
-def spaced(history: Sequence[HistoryRow], most: int) -> list[HistoryRow]:
+def spaced(history: Sequence[HistoryRow], limit: int) -> list[HistoryRow]:
     """Return evenly spaced generations, the first and the last among them.
 
     Parameters
     ----------
     history : sequence of HistoryRow
-    most : int
+    limit : int
         How many, at least 2.
     """
-    if len(history) <= most:
+    if len(history) <= limit:
         return list(history)
-    return [history[round(i * (len(history) - 1) / (most - 1))] for i in range(most)]
+    # i (n - 1) / (m - 1) for i from 0 to m - 1, which holds 0 and n - 1.
+    return [history[round(i * (len(history) - 1) / (limit - 1))] for i in range(limit)]

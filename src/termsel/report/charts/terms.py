@@ -28,15 +28,18 @@ def term_bars(view: View) -> Any:
     rows = term_rows(view)
     kinds = [f"significant ({100 * SIGNIFICANT:.0f} %)", "not significant"]
     order = [row["term"] for row in rows]
+    # t above the limit and p below the level are the same test.
     states = [{**row, "state": kinds[row["p"] > SIGNIFICANT]} for row in rows]
     base = alt.Chart(chart_rows(states)).encode(
         y=alt.Y("term:N", sort=order, title=None,
                 axis=alt.Axis(ticks=False, domain=False, grid=True, labelLimit=170)))
     front = [alt.Tooltip("share:Q", title="share of the front", format=".0%")] \
-        * bool(view.record.front)
+        if view.record.front else []
     shape = alt.Shape("state:N", scale=alt.Scale(domain=kinds, range=["circle", "diamond"]))
-    title = ["|coefficient| / standard deviation, logarithmic",
-             *["At the right: share of the front's members"] * bool(front)]
+    title = ["|coefficient| / standard deviation, logarithmic"]
+    if front:
+        # The share has no axis: it is written at the right edge.
+        title.append("At the right: share of the front's members")
     x = alt.X("t:Q", title=title,
               scale=alt.Scale(type="log", nice=False, padding=14))
     layers = [
@@ -56,15 +59,19 @@ def term_bars(view: View) -> Any:
 def term_rows(view: View) -> list[Row]:
     """Return the terms in use with t, p and their share of the front's members."""
     front = view.record.front
-    return sorted(({"term": name, "t": max(one.t, 1e-3), "p": one.p,
-                    "share": sum(name in member.selection.terms for member in front)
-                    / len(front) if front else None}
-                   for name, one in view.record.significance.items()),
-                  key=lambda row: -row["t"])
+    rows: list[Row] = []
+    for name, term in view.record.significance.items():
+        share = None
+        if front:
+            share = sum(name in member.selection.terms for member in front) / len(front)
+        # Of logarithmic axes, 0 has no place.
+        rows.append({"term": name, "t": max(term.t, 1e-3), "p": term.p, "share": share})
+    return sorted(rows, key=lambda row: -row["t"])
 
 
 def frequency_bars(view: View) -> Any:
     """Return in which share of many selections each term is: repeated ones, or those of a front."""
+    # Rows of both kinds have shares; which they are of is said by the axis.
     alt = require_altair()
     rows = frequency_rows(view)
     kinds = ["in this result", "not in this result"]
@@ -90,11 +97,14 @@ def frequency_rows(view: View) -> list[Row]:
     """Return the terms that any selection has with the share of selections, frequent ones first."""
     record = view.record
     used = set(record.selection.terms)
+    # Of repeated selections the shares are known; of a front, each member counts once.
     shares = dict[str, float]()
     if record.stability:
         shares.update(record.stability.frequency)
     else:
-        counts = Counter(term for member in record.front for term in member.selection.terms)
+        counts: Counter[str] = Counter()
+        for member in record.front:
+            counts.update(member.selection.terms)
         shares = {term: n / len(record.front) for term, n in counts.items()}
     return sorted(({"term": term, "share": round(share, 4), "used": term in used}
                    for term, share in shares.items() if share), key=lambda row: -row["share"])
@@ -104,6 +114,7 @@ def no_frequencies(view: View) -> str:
     """Return why a result says nothing of how often terms are selected; "" if it does."""
     if view.record.stability:
         return ""
+    # The same terms in all members would be bars of full length that say nothing.
     members = {tuple(member.selection.terms) for member in view.record.front}
     if len(members) > 1:
         return ""
@@ -117,8 +128,9 @@ def correlation_map(view: View) -> Any:
     names = list(view.record.coefficients)
     rows = [{**row, "correlation": float(f"{row['correlation']:.3f}")}
             for row in view.correlations]
-    side = min(max(13 * len(names), 200), WIDTH)
-    labels = alt.Axis(labelFontSize=min(11, max(6, side / len(names) - 2)), ticks=False,
+    # As many pixels as there are terms, within what a page is wide.
+    width = min(max(13 * len(names), 200), WIDTH)
+    labels = alt.Axis(labelFontSize=min(11, max(6, width / len(names) - 2)), ticks=False,
                       domain=False, grid=False, labelLimit=120)
     return alt.Chart(chart_rows(rows)).mark_rect(stroke=GROUND, strokeWidth=0.4).encode(
         x=alt.X("other:N", sort=names, title=None, axis=alt.Axis(
@@ -129,4 +141,4 @@ def correlation_map(view: View) -> Any:
                         legend=alt.Legend(gradientLength=180, title="correlation")),
         tooltip=[alt.Tooltip("one:N", title="term"), alt.Tooltip("other:N", title="and term"),
                  alt.Tooltip("correlation:Q", format=".3f")],
-    ).properties(width=side, height=side)
+    ).properties(width=width, height=width)
