@@ -29,6 +29,7 @@ def search_bar(title: str, quiet: bool) -> Iterator[Callable[[Progress], None] |
     """Yield an observer that shows how far a run is, or None where nobody would see it."""
     with _bar(title, quiet) as renew:
         def observe(progress: Progress) -> None:
+            # A population without a feasible member has a best value that means nothing.
             feasible = progress.violation == 0 and math.isfinite(progress.best)
             best = f"{progress.best:.4g}" if feasible else "-"
             assert renew is not None
@@ -41,6 +42,7 @@ def search_bar(title: str, quiet: bool) -> Iterator[Callable[[Progress], None] |
 
 def _bound(progress: Progress) -> str:
     """Return the lower bound and the gap of a proof, or the evaluations of a search."""
+    # Only a proof has a bound; other searches say how much they have tried.
     certificate = progress.generation.details.get("certificate") or {}
     if "bound" not in certificate:
         return f"{progress.evaluations} evaluations"
@@ -53,6 +55,7 @@ def _bound(progress: Progress) -> str:
 def share_bar(title: str, quiet: bool) -> Iterator[Callable[[float], None] | None]:
     """Yield a function that shows the fraction done, or None where nobody would see it."""
     with _bar(title, quiet, total=1.0) as renew:
+        # None where there is no bar, so that callers ask nothing but whether there is an observer.
         yield renew and (lambda share: renew(completed=share))
 
 
@@ -75,6 +78,7 @@ def _bar(title: str, quiet: bool, *, total: float | None = None, remaining: bool
     """Yield what renews a bar that leaves no trace; what is printed meanwhile appears above it."""
     context = click.get_current_context(silent=True)
     if context is not None and context.meta.get(PROGRESS) == "json" and not quiet:
+        # Programs read stderr through a pipe, which is no terminal.
         yield _lines(title, total)
         return
     if quiet or not sys.stderr.isatty():
@@ -93,7 +97,7 @@ def _bar(title: str, quiet: bool, *, total: float | None = None, remaining: bool
     # Text of names and files is no markup.
     columns = (TextColumn("{task.description}", markup=False), BarColumn(bar_width=20),
                TaskProgressColumn(), TextColumn("{task.fields[state]}", markup=False),
-               TimeElapsedColumn(), *[TimeRemainingColumn()] * remaining)
+               TimeElapsedColumn(), *([TimeRemainingColumn()] if remaining else []))
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(printable(title), total=total, state="")
         yield partial(bar.update, task)
@@ -107,6 +111,7 @@ def _lines(title: str, total: float | None) -> Callable[..., None]:
               state: str = "") -> None:
         nonlocal printed
         share = completed / total if total else None
+        # The last line is never left out: a reader waits for 100 %.
         if time.monotonic() - printed < _BETWEEN and share != 1.0:
             return
         printed = time.monotonic()

@@ -104,10 +104,12 @@ def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: 
       termsel compare --points 'images/*.csv' --dem dem.tif --accept 5m --out result
       termsel compare --status study
     """
+    # A look at a study that may be running elsewhere: nothing is locked or written.
     if status is not None:
         _show_status(status)
         return
     study, keys = _asked(files, options)
+    # The name first: what the file holds is read later, when its cells are made.
     if study is not None and not study.exists():
         raise TermselError("this file does not exist", file=study,
                            hint="Check the name and the folder.")
@@ -125,6 +127,7 @@ def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: 
     with study_bar(quiet) as observe:
         results = comparing.compare(study, out=out, workers=workers, scheduler=scheduler,
                                     observers=(observe,) if observe else (), **keys)
+    # What was finished lies in the journal, and the same command skips it.
     if not results.complete:
         done = len(results.records)
         echo(f"Interrupted: {done} of {counted(len(results.cells), 'cell')} are finished and "
@@ -134,6 +137,7 @@ def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: 
     written = write_outputs(results, out)
     echo(summary(results), nl=False)
     say_written(written)
+    # An image that fails stops no other, so that only the exit code tells a script of it.
     if results.failures:
         echo(f"{results.failures} of {counted(len(results.cells), 'image')} failed.", err=True)
         sys.exit(FAILED)
@@ -152,6 +156,7 @@ def _asked(files: tuple[Path, ...], options: dict[str, Any]) -> tuple[Path | Non
     if len(files) > 1:
         raise TermselError("there are two study files", hint="Give one study file at a time.")
     if files and keys:
+        # A study is one file that says everything: an option beside it would not be in its record.
         raise TermselError(f"{files[0]} and the option --{_first(options)} exclude each other",
                            hint="Write it into the study file.")
     if not files and not keys:
@@ -161,6 +166,7 @@ def _asked(files: tuple[Path, ...], options: dict[str, Any]) -> tuple[Path | Non
 
 
 def _first(options: dict[str, Any]) -> str:
+    # Of empty options, click gives None, and an empty tuple where one may be repeated.
     return next("set" if name == "settings" else name for name, value in options.items()
                 if value not in (None, ()))
 
@@ -170,6 +176,7 @@ def _keys_of(options: dict[str, Any]) -> dict[str, Any]:
     lists = {"problems": "problem", "models": "model", "solvers": "solver",
              "criteria": "criterion", "methods": "method", "strategies": "strategy"}
     keys: dict[str, Any] = {}
+    # Options are singular, the keys of a study file plural.
     for key, name in lists.items():
         if options[name] is not None:
             keys[key] = [text.strip() for text in options[name].split(",")]
@@ -192,6 +199,7 @@ def _keys_of(options: dict[str, Any]) -> dict[str, Any]:
                       if option.name in settings} if settings else {}
         keys["data"] = [{**files, **of_files,
                          **({"options": of_reading} if of_reading else {})}]
+    # Left out where not given: a study has its own defaults, which an empty budget would hide.
     budget = {name: options[name] for name in ("evaluations", "generations", "patience", "seconds",
                                                   "timeout")
               if options[name] is not None}
@@ -228,13 +236,14 @@ def _list_files(study: Path | None, keys: dict[str, Any]) -> None:
     if not files:
         return
     echo(f"Reads {counted(len(files), 'file')}:")
+    # A study from a stranger may name, or link to, any file of this computer.
     own_folder = folder.resolve()
     for file in files[:MOST_LISTED]:
         target = file.resolve()
         link = "" if target == file else f"{target}, "
         elsewhere = "" if target.is_relative_to(own_folder) else \
             f" ({link}outside of the folder of the study)"
-        echo(f"  {printable(str(file), kept='')}{printable(elsewhere, kept='')}")
+        echo(f"  {printable(str(file), keep='')}{printable(elsewhere, keep='')}")
     if len(files) > MOST_LISTED:
         echo(f"  and {len(files) - MOST_LISTED:,} more")
     echo("")
@@ -245,6 +254,7 @@ def _show_plan(study: Path | None, keys: dict[str, Any], workers: int) -> None:
     from termsel.studies.execution.progress import duration
 
     _list_files(study, keys)
+    # The time of each kind of cell is that of one cell that was run, times their number.
     total = 0.0
     cells = 0
     rows = []

@@ -27,6 +27,7 @@ def completion(context: click.Context, shell: str) -> None:
       eval "$(termsel completion zsh)"           in ~/.zshrc
       termsel completion fish | source           in ~/.config/fish/config.fish
     """
+    # The shell calls the program again with this variable set, and reads names from its stdout.
     program = context.find_root()
     class_of_shell = get_completion_class(shell)
     assert class_of_shell is not None
@@ -47,6 +48,7 @@ def complete(*kinds: str) -> Completer:
         from termsel.plugins.registry import registry
 
         completions: list[CompletionItem] = []
+        # Plugins are loaded for that, as their names are to be completed, too.
         for kind in kinds or KINDS:
             completions += [CompletionItem(entry.name, help=entry.summary)
                       for entry in registry().entries(kind) if entry.name.startswith(incomplete)]

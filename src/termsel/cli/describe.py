@@ -43,10 +43,12 @@ def describe(name: str) -> None:
     names = registry()
     entries = names.find(name)
     if not entries:
+        # The name may be of any kind, so that the nearest one is looked for among all.
         known_names = []
         for kind in KINDS:
             known_names += names.names(kind)
         raise unknown_name("name", name, known_names, names.hint(name, *KINDS))
+    # One name may be a model and a solver: all of them are described.
     for i, (kind, entry) in enumerate(entries):
         if i:
             echo()
@@ -77,6 +79,7 @@ def _lead(kind: str, entry: Entry) -> None:
     """Print the purpose of a thing, its main options and an example."""
     thing = entry.object
     echo(f"\n{entry.summary}\n")
+    # Recipes have the options of their problem; other things declare theirs on the class.
     options = tuple(getattr(thing, "options" if kind == "problems" else "declared_options", ()))
     if options:
         names = ", ".join(option.name for option in options[:KEY_OPTIONS])
@@ -96,6 +99,7 @@ def _describe_data() -> None:
 
 def _describe_problem(entry: Entry) -> None:
     recipe = entry.object
+    # Of two rules the one that is met first ends the search.
     rules = {"{} generations": recipe.generations,
              "{} generations without a gain": recipe.patience}
     _pairs({
@@ -118,6 +122,7 @@ def _undeclared(recipe: Recipe) -> list[Option]:
     from termsel.selection.problems.recipes import options_of, undeclared_options
 
     undeclared = undeclared_options(recipe)
+    # What a problem can be set depends on its data, so that it has to be prepared.
     try:
         names = options_of(prepare(recipe).problem) if undeclared else frozenset()
     except TermselError:  # told where the problem is run
@@ -134,6 +139,7 @@ def _describe_model(entry: Entry) -> None:
     _pairs({"heights": "required" if entry.object.uses_height else "not used"})
     _options(entry.object.declared_options)
     try:
+        # Terms at other options are others: only those of the defaults can be listed.
         terms = entry.object().terms
     except TermselError as error:  # of a plugin, whose description is still useful
         echo(f"\nTerms cannot be listed: {error}")
@@ -185,6 +191,7 @@ _FUNCTIONS = {
 
 
 def _describe_method(entry: Entry) -> None:
+    # In the order in which the choice itself asks: the first that holds decides.
     method = entry.object
     _pairs({"chosen": "never: it is fitted where it is asked for" if method.on_request else
             "never: it is shown for comparison" if method.only_shown else
@@ -220,6 +227,7 @@ _DESCRIBE: dict[str, Callable[[Entry], None]] = {
 
 def _document(entry: Entry) -> None:
     thing = entry.object
+    # Methods and criteria are objects, models and solvers classes.
     text = (thing if isinstance(thing, type) else type(thing)).__doc__
     paragraphs = inspect.cleandoc(text or "").partition("\n\n")[2].strip()
     if paragraphs:  # the first one is the summary
@@ -231,6 +239,7 @@ _HEADING = re.compile(r"^(\w[\w ]*)\n-{3,}$", re.MULTILINE)
 
 
 def _pairs(values: dict[str, Any]) -> None:
+    # What a thing does not have is no line.
     shown = {key: value for key, value in values.items() if value}
     width = max(map(len, shown))
     echo()

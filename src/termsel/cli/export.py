@@ -56,6 +56,7 @@ def export(folder: Path, to: str, output: Path, image: str | None, dem: str | No
     files = writer_of(to, **options).files(output)
     if not is_there(output):  # those next to it may be of an export that was killed
         files = (output,)
+    # All files of a format are looked at before anything is written: one that exists refuses all.
     require_replaceable(files, reads=[folder, *options.values()], overwrite=overwrite)
     say_written(write(read_result(folder), to, output, overwrite=overwrite, final=final,
                       **options))

@@ -43,5 +43,6 @@ def list_(kind: str | None, as_json: bool) -> None:
     else:
         print_table(("name", "summary", "provided by"),
                     [(entry.name, entry.summary, entry.provided_by) for entry in entries])
+    # A broken plugin hides nothing of others; what it would have provided is said to be missing.
     for failure in names.failures(kind):
         echo(f"Warning: {failure}", err=True)

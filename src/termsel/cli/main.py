@@ -44,10 +44,12 @@ def _stdout_may_end() -> Iterator[None]:
         yield
         stdout().flush()
     except OSError as error:
+        # Only errors of the output itself, which have no file name, are meant.
         if error.errno not in _UNWRITABLE or error.filename is not None:
             raise
         # Python flushes stdout once more when it ends.
         os.dup2(os.open(os.devnull, os.O_WRONLY), stdout().fileno())
+        # As head ends a pipe: everything that was wanted has been read.
         if isinstance(error, BrokenPipeError):
             raise click.exceptions.Exit(0) from None
         raise TermselError(f"cannot write to stdout: {error.strerror}",
@@ -67,8 +69,10 @@ class Commands(click.Group):
     ) -> click.Command | None:
         """Return a command; that of a broken plugin tells why it is broken."""
         if cmd_name in COMMANDS:
+            # Imported by name, so that one command does not load what others need.
             module, _, attribute = COMMANDS[cmd_name][0].partition(":")
             return _printing_alone(getattr(import_module(module), attribute))
+        # Loading plugins runs their code, which may print.
         take_stdout()
         try:
             return _plugin_command(cmd_name)
@@ -96,6 +100,8 @@ class Commands(click.Group):
         summaries = {name: summary for name, (_, summary) in COMMANDS.items()}
         for package, commands in PACKAGES.items():
             if find_spec(package) is not None:
+                # find_spec looks for a package without importing it, which would take seconds for
+                # all.
                 summaries |= commands
         width = max(map(len, summaries))
         for group, names in GROUPS.items():
@@ -131,6 +137,7 @@ class Commands(click.Group):
         a thread of a plugin that prints on and on prints nothing after the results either.
         """
         try:
+            # In standalone mode click would print and exit by itself; its messages are shaped here.
             if standalone_mode:
                 self._end_with_code(args, prog_name, complete_var, **extra)
             return super().main(args, prog_name, complete_var, False, **extra)
@@ -145,6 +152,7 @@ class Commands(click.Group):
         try:
             try:
                 value = super().main(args, prog_name, complete_var, False, **extra)
+            # numpy tells the shape that it cannot allocate: that becomes what to make smaller.
             except MemoryError as error:
                 raise _too_large(error) from error
         except TermselError as error:
@@ -172,12 +180,14 @@ def _too_large(error: MemoryError) -> TermselError:
 
 def _suggested(words: Sequence[str], error: TermselError) -> Iterator[str]:
     """Yield the commands that an error suggests; only what is certain is ready to run."""
+    # Where one of several readings of a table is right, each has its command.
     guesses = error.guesses or [error.options.get("--columns", "")]
     for number, columns in enumerate(guesses, 1):
         options = {**error.options, "--columns": columns} if columns else error.options
         typed = shlex.join([*_without(words, options), *chain.from_iterable(options.items())])
         if not options or not is_printable(typed):  # what is shown otherwise cannot be pasted
             continue
+        # A question mark is for the user to fill in: such a command cannot run as it is.
         asks = "?" in "".join(options.values())
         verb = "Complete and run" if asks else "Ready to run" if not error.guesses else \
             f"Guess {number} of {len(guesses)}, to check"
@@ -186,6 +196,7 @@ def _suggested(words: Sequence[str], error: TermselError) -> Iterator[str]:
 
 def _without(words: Sequence[str], options: Mapping[str, str]) -> Iterator[str]:
     """Yield words without some options and their values."""
+    # Options stand as "--crs X" or "--crs=X".
     remaining = iter(words)
     for word in remaining:
         if word in options:
@@ -196,6 +207,7 @@ def _without(words: Sequence[str], options: Mapping[str, str]) -> Iterator[str]:
 
 def _refuse_repeated(command: click.Command, words: list[str]) -> None:
     """Refuse an option of one value that is given twice: click would drop the first in silence."""
+    # The parser is that of click, so that abbreviations and clusters of flags count alike.
     parser = command.make_parser(click.Context(command, resilient_parsing=True))
     try:
         order = parser.parse_args(list(words))[2]
@@ -213,6 +225,7 @@ def _near(error: click.ClickException) -> str:
     typed = re.match(r"'([^']+)' is not", error.message)
     if not isinstance(kind, click.Choice) or typed is None:
         return ""
+    # click says which words there are; that one of them was nearly met is added.
     near = get_close_matches(typed[1], list(map(str, kind.choices)), n=1)
     return f" Did you mean {near[0]!r}?" if near else ""
 
@@ -220,6 +233,7 @@ def _near(error: click.ClickException) -> str:
 def _printing_alone(command: click.Command) -> click.Command:
     """Return a built-in command while which nothing else prints on stdout; its help page may."""
     invoke = command.invoke
+    # A copy, as the command object is shared by all calls in this process.
     command = copy(command)
 
     def alone(ctx: click.Context) -> Any:
@@ -235,6 +249,7 @@ def _plugin_command(name: str) -> click.Command | None:
 
     names = registry()
     for entry in names.entries("commands"):
+        # A name that two plugins provide is answered by distribution:name.
         if entry.answers_to(name):
             return _blaming(entry.object)
     for failure in names.failures("commands"):
@@ -250,6 +265,7 @@ def _blaming(command: click.Command) -> click.Command:
     def blaming(ctx: click.Context) -> Any:
         try:
             return invoke(ctx)
+        # These are how commands end on purpose; all else is a fault of the plugin.
         except (click.ClickException, click.exceptions.Exit, click.Abort, TermselError,
                 MemoryError):
             raise
@@ -271,6 +287,7 @@ def _broken_command(name: str, why: str) -> click.Command:
         raise TermselError(f"the command {name!r} is broken: {why}",
                            hint="Report it to its author, or install another version.")
 
+    # Whatever is typed after it, the answer is why the command is broken.
     return click.Command(
         name, callback=explain, help=f"This command is broken: {why}",
         context_settings={"ignore_unknown_options": True, "allow_extra_args": True})

@@ -42,6 +42,7 @@ def stdout() -> TextIO:
 def echo(text: str = "", *, err: bool = False, nl: bool = True) -> None:
     """Print text, printable whatever names and files brought, and a line end (`nl`)."""
     # If stderr cannot be written, as on a full disk, the command goes on.
+    # stdout is not excused: who asks for a result must learn that it was not written.
     with suppress(OSError) if err else nullcontext():
         click.echo(printable(text), file=sys.stderr if err else stdout(), nl=nl)
 
@@ -49,6 +50,7 @@ def echo(text: str = "", *, err: bool = False, nl: bool = True) -> None:
 def stdout_has(text: str) -> bool:
     """Return True if the encoding of stdout has all characters of a text."""
     try:
+        # Some streams, as of tests, have no encoding.
         text.encode(getattr(stdout(), "encoding", None) or "utf-8")
     except UnicodeEncodeError:
         return False
@@ -77,6 +79,7 @@ def refuse_stdout(output: Path) -> None:
 
 class _OnStderr(logging.Handler):
     """Writes to what is stderr at the time: a progress bar puts itself in its place."""
+    # A library does not print; its messages are shown by the program alone.
 
     def emit(self, record: logging.LogRecord) -> None:
         with suppress(OSError):

@@ -63,6 +63,7 @@ def new_plugin(name: str, kind: str, parent: Path) -> None:
     folder = parent / name
     if not parent.is_dir():
         raise TermselError("this folder does not exist", file=parent, hint="Make it first.")
+    # mkdir refuses an existing folder in one step: nothing can come in between.
     try:
         folder.mkdir()
         (folder / "tests").mkdir()
@@ -90,11 +91,14 @@ def package(name: str, *kinds: str) -> dict[str, str]:
             raise unknown_name("kind of plugin", kind, KINDS)
     if len(set(kinds)) < len(kinds):
         raise TermselError(f"--kind {','.join(kinds)} names a kind twice", hint="Name each once.")
+    # The name of the package is that of its module, as pip normalises it; that of the thing is
+    # without the common prefix.
     module = re.sub(r"[-_.]+", "_", name).lower()
     plugin_name = re.sub(r"[-_.]+", "-", name).lower().removeprefix("termsel-")
     has_one_kind = len(kinds) == 1
     modules = {kind: module if has_one_kind else f"{module}_{kind}" for kind in kinds}
     names = {kind: plugin_name if has_one_kind else f"{plugin_name}-{kind}" for kind in kinds}
+    # All names are tried before any file is made.
     for kind in kinds:
         _require_free(name, module, plugin_name, kind, modules[kind], names[kind])
     titles = {kind: f"{_word(kind)} {names[kind]}" for kind in kinds}
@@ -128,10 +132,12 @@ def _filled(source: str, words: dict[str, str]) -> str:
 def _require_free(name: str, package: str, bare: str, kind: str, module: str,
                   plugin_name: str) -> None:
     if not _NAME.fullmatch(name) or keyword.iskeyword(package) or not bare:
+        # What remains of the name without forbidden characters is the nearest that can be.
         near = "-".join(re.findall(r"[A-Za-z0-9]+", name)).lstrip("-0123456789")
         near = near if near and not keyword.iskeyword(near) else "termsel-demo"
         raise TermselError(f"{name!r} cannot be the name of a package",
                            hint=f"Take letters, digits and hyphens, such as {near}.")
+    # The module of an installed plugin may be its own earlier version, which is to be replaced.
     plugins = {point.module for point in entry_points(group="termsel")}
     if package != "termsel" and module not in plugins and find_spec(module) is not None:
         raise TermselError(f"Python already has a module {module!r}",

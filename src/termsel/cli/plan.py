@@ -53,6 +53,7 @@ def plan(folder: Path, candidates: Path | None, count: int, output: Path | None,
             for name, (line, sample, x, y, z, sigma) in zip(
                 positions.ids, positions.values.tolist(), strict=True)]
     print_table(COLUMNS, rows)
+    # The last row has the uncertainty after all positions above it were measured.
     measured = "this place" if len(rows) == 1 else f"these {len(rows)} places"
     echo(f"Mean uncertainty over the image: {positions.sigma_before:.3g} px now, "
          f"{rows[-1][-1]} px with {measured}", err=True)

@@ -56,6 +56,7 @@ def plot(folder: Path, kind: str, output: Path, overwrite: bool) -> None:
                            file=folder, hint="Its own pictures are in figures; the folder of an "
                                              "image is in images.")
     require_picture(output)
+    # Whether it may be written is known before the charts are drawn, which takes seconds.
     require_replaceable([output], reads=[folder], overwrite=overwrite)
     save(chart(read_result(folder).view, kind), output)
     say_written([output])

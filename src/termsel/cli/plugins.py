@@ -42,6 +42,7 @@ def plugins(as_json: bool, timed: bool) -> None:
     if timed:
         Registry([]).failures()  # imports what is built in, which else the first plugin would do
     names = registry()
+    # Failures are those of loading, and those of names that clash.
     failures = names.failures()
     seconds = names.seconds() if timed else {}
     if as_json:
@@ -63,6 +64,7 @@ def plugins(as_json: bool, timed: bool) -> None:
           *([f"{seconds.get(plugin, 0.0):.3f}"] if timed else []),
           " ".join(hook.removeprefix("termsel_") for hook in plugin.hooks))
          for plugin in names.plugins])
+    # The time of termsel's own parts is not the user's to change.
     slow = [plugin for plugin, duration in seconds.items() if duration > SLOW]
     for plugin in slow:
         if plugin.distribution != "termsel":

@@ -50,6 +50,7 @@ def project(folder: Path, points: Path, columns: str | None, inverse: bool, dem:
     from termsel.io.result_folder import read_result
 
     output = None if output == Path("-") else output
+    # All is computed before the file is touched: a mistake in the table leaves no half of it.
     if output is not None:
         require_replaceable([output], reads=[folder, points, dem], overwrite=overwrite)
     text, warnings = project_table(as_exported(read_result(folder), final), points,

@@ -47,6 +47,7 @@ def report(folder: Path, output: Path | None, image: str | None, overwrite: bool
     from termsel.studies.cells.images import IMAGES
     from termsel.studies.outputs import page as study_page
 
+    # A page must not replace what it is made of.
     study_files = [folder / PLAN, folder / JOURNAL, *(folder / IMAGES).glob("*")]  # of a study
     require_replaceable([output], reads=[folder, image, *study_files], overwrite=overwrite)
     if (folder / PLAN).is_file():

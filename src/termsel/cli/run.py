@@ -47,6 +47,7 @@ def run(verbose: bool, checkpoint: Path | None, files: tuple[Path, ...], **argum
     from termsel.runs import run as running
 
     folder = settings.out
+    # A folder that holds anything else is refused before the search, which may take hours.
     if folder is not None:
         require_replaceable(files_of_result(folder), reads=settings.reads, overwrite=True,
                             makes_folder=True)
@@ -55,6 +56,7 @@ def run(verbose: bool, checkpoint: Path | None, files: tuple[Path, ...], **argum
     page = settings.page()
     features, options = settings.read()
     title = settings.problem or settings.solver or settings.method or "auto"
+    # The record names what was asked for; the bar shows only the shortest name of it.
     with search_bar(title, settings.quiet) as observe:
         result = running.run(
             settings.problem, strategy=settings.strategy, method=settings.method,
@@ -64,6 +66,7 @@ def run(verbose: bool, checkpoint: Path | None, files: tuple[Path, ...], **argum
             **settings.budget,
             observers=[observe] if observe else [], out=folder, overwrite=settings.overwrite,
             checkpoint=checkpoint)
+    # With --json the record is all that stdout gets, so that programs can read it.
     echo(result.to_json() if settings.as_json else result.summary(verbose=verbose), nl=False)
     if folder is not None:
         settings.write(result, exported, page)
@@ -73,6 +76,7 @@ def run(verbose: bool, checkpoint: Path | None, files: tuple[Path, ...], **argum
     elif folder is not None:
         say_written([f"{folder}/{RECORD}", *names_of(result.features)[1:]])
     if result.interrupted:
+        # A checkpoint holds what was evaluated; without one a seed repeats the run from its start.
         then = "repeats the whole run" if checkpoint is None else f"goes on from {checkpoint}"
         echo("Interrupted: this is the best so far. The same command"
              f"{' with --overwrite' if folder else ''} {then}.", err=True)

@@ -15,6 +15,7 @@ def print_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     if stdout().isatty():
         _draw(header, rows)
         return
+    # Columns as wide as their widest cell, as in a pipe nobody knows the width of a screen.
     widths = [max(len(row[i]) for row in (header, *rows)) for i in range(len(header))]
     for row in (header, *rows):
         cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
@@ -39,6 +40,7 @@ def _draw(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
 def json_text(value: Any) -> str:
     """Return a value as JSON with a line end, in ASCII where it has what no terminal may get."""
     text = json.dumps(value, indent=2, ensure_ascii=False)
+    # Characters that would control a terminal are escaped as JSON has it, not as Python does.
     is_printable = printable(text) == text
     return (text if is_printable else json.dumps(value, indent=2)) + "\n"
 

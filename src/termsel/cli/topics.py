@@ -50,12 +50,14 @@ class ByTopic(click.Command):
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the main options by topic, or all where that is asked for."""
+        # The long help is click's own; the short one shows what most people need.
         if ctx.meta.get(_EVERY):
             super().format_options(ctx, formatter)
             return
         options = {option.name: option for option in self.get_params(ctx)
                    if isinstance(option, click.Option)}
         for topic, texts in TOPICS.items():
+            # Options of plugins are not listed here, and need not be installed.
             rows = [(_synopsis(options[name]), text) for name, text in texts.items()
                     if name in options]
             with formatter.section(topic):

@@ -77,6 +77,7 @@ def refused(call: Callable[[], object], path: Path, content: str, unnoticed: str
     try:
         call()
     except TermselError as error:
+        # A user of many files must learn which one is meant.
         require(str(path) in str(error), f"the error on {content} does not name the file: {error}; "
                                          "raise TermselError(..., file=path)")
         return
@@ -103,6 +104,7 @@ def assemble(
     for name in reasons:
         if name not in named:
             raise unknown_name("check", name, named)
+    # A generator of cases is used up by the first check, and there are many.
     listed = tuple(cases)
     return tuple(Check(name, partial(_run, name, function, listed, reasons.get(name)))
                  for name, function in named.items())
@@ -116,6 +118,7 @@ def run_all(checks: Iterable[Check]) -> None:
             check.run()
         except AssertionError as failure:
             failures.append(failure)
+    # All failures are told at once: one run shows an author all that is to be done.
     if failures:
         raise AssertionError("\n".join(str(failure) for failure in failures)) from failures[0]
 
@@ -129,6 +132,7 @@ def _run(name: str, function: Callable[[Any], None], cases: tuple[Case, ...],
     except AssertionError:
         if reason is None:
             raise
+        # An expected failure that does not happen any more must not hide a later one.
         return
     if reason is not None:
         raise AssertionError(f"{name}: this check passes and was expected to fail ({reason}); "
@@ -140,6 +144,8 @@ def _run_case(name: str, function: Callable[[Any], None], case: Case) -> None:
         # The user of the plugin would see a warning such as "divide by zero".
         with warnings.catch_warnings(), unguarded():
             warnings.simplefilter("error", RuntimeWarning)
+            # Made anew for each check: what one check leaves behind in an object is no fault of the
+            # next.
             within(LIMIT, lambda: function(case.make()))
     except AssertionError as failure:
         raise AssertionError(f"{name}: {case.label}: {failure}") from failure
@@ -178,6 +184,7 @@ def check_declaration(kind: str, item: Any) -> None:
     The kind is a plural, such as "models"; the thing a class, as a hook returns it, or an object.
     """
     try:
+        # The very test by which a hook is refused, so that what passes here is accepted there.
         KINDS[kind].require_returned(type(item) if isinstance(item, Configurable) else item)
     except TypeError as error:
         raise AssertionError(f"the hook termsel_{kind} would be refused: it {error}") from error
@@ -185,6 +192,7 @@ def check_declaration(kind: str, item: Any) -> None:
                                     f"summary), whose first line `termsel list {kind}` shows")
     options = getattr(item, "declared_options", ())
     names = [option.name for option in options]
+    # Of two options of one name --set could only reach one.
     require(len(set(names)) == len(names), f"an option is declared twice: {', '.join(names)}")
     for option in options:
         require(option.doc.strip(), f"option {option.name!r} has no doc; `termsel describe` "
@@ -194,6 +202,7 @@ def check_declaration(kind: str, item: Any) -> None:
         require(parsed == option.default,
                 f"the default {option.default!r} of option {option.name!r} is read as {parsed!r}; "
                 f"declare it as {option.type.__name__}")
+        # A choice that the option itself refuses could never be set.
         for choice in option.choices:
             option.parse(choice)
 
@@ -212,6 +221,7 @@ def require_unchanged(arrays: Mapping[str, NDArray[Any]], method: str,
 def pickled(item: Subject) -> Subject:
     """Return a copy through pickle, as in another process."""
     try:
+        # Studies send what they run to other processes.
         copy: Subject = pickle.loads(pickle.dumps(item))
     except (pickle.PicklingError, AttributeError, TypeError) as error:
         raise AssertionError(f"it cannot be sent to another process: {error}; define the class or "

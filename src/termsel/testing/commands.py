@@ -27,6 +27,7 @@ def invoke(*words: object) -> Result:
 
     from termsel.cli.main import cli
 
+    # Exceptions pass: a traceback says more to the author of a test than an exit code.
     return CliRunner().invoke(cli, [str(argument) for argument in words], catch_exceptions=False)
 
 
@@ -58,6 +59,7 @@ def help_page(typed: Typed) -> None:
     done = typed.run("--help")
     require(done.exit_code == 0, f"--help ends with exit code {done.exit_code}: {done.output}")
     for option in typed.command.params:
+        # Arguments are explained by the text of the command.
         require(not isinstance(option, click.Option) or option.help,
                 f"the option {option.opts[0]} has no help")
 
@@ -72,6 +74,7 @@ def runs(typed: Typed) -> None:
     """It ends without a traceback: exit code 0, or 2 for what the user can correct."""
     done = typed.run(*typed.words)
     fault = done.exception
+    # click leaves a program by SystemExit.
     require(fault is None or isinstance(fault, TermselError | SystemExit),
             f"{' '.join(typed.words)!r} raises {type(fault).__name__}: {fault}; raise TermselError "
             "for what the user can correct")

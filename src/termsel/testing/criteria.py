@@ -50,6 +50,7 @@ class _Recorder(Criterion):
 
 def score_shape(criterion: Criterion) -> None:
     """It gives one figure for each fitted model."""
+    # Searches evaluate whole populations, and a fit alone is a population of one.
     for masks in (_masks(), _masks()[:1]):
         score = criterion.score(_fits(masks))
         require(isinstance(score, np.ndarray) and score.shape == (len(masks),)
@@ -77,6 +78,7 @@ def deterministic(criterion: Criterion) -> None:
     """The same fits get the same figures, here and in another process."""
     fits = _fits(_masks())
     first = criterion.score(fits)
+    # An equal object, and one that has been in another process.
     repeated = (criterion.score(fits), type(criterion)(**criterion.options).score(fits),
                 pickled(criterion).score(_fits(_masks())))
     require(all(np.array_equal(first, score) for score in repeated),
@@ -91,6 +93,7 @@ def one_by_one(criterion: Criterion) -> None:
     require(np.allclose(joint, single),
             f"scored together the models get {joint}, one by one {single}; a search keeps "
             "figures and compares them later")
+# Summation in another order may differ by rounding.
 
 
 def inputs_unchanged(criterion: Criterion) -> None:
@@ -108,9 +111,11 @@ def subset_score_agrees(criterion: Criterion) -> None:
     for seed in range(SETS):
         problem = SelectionProblem(_random_inputs(criterion, seed), terms=True, features=False)
         # All selections, so that the optimum needs no search.
+        # 2^k rows: k is at most 4 terms for each axis here.
         genes = np.array(list(product((False, True), repeat=problem.genome.size)))
         evaluation = problem.evaluate(genes)
         feasible = evaluation.violation == 0
+        # Its proof goes by bounds on subset_score, and must end at the optimum by score().
         *_, proof = prove(problem)
         proven = problem.evaluate(np.array(proof.front()[-1:]))
         smallest = evaluation.objectives[feasible, 0].min()
@@ -151,11 +156,13 @@ def _fits(masks: BoolArray) -> Fits:
     affine = {"1": 0.1, "X": 0.5, "Y": 0.4, "Z": 0.2}
     # The other terms have no part in the measurements.
     truth = np.array([affine.get(Term.parse(name).column, 0.0) for name in model.terms])
+    # Control and selection points of one scene, with independent noise.
     control, check = (imaged(model, truth, rng, points=40) for _ in range(2))
     noisy = [Points(f.points.ids, f.points.image + rng.normal(0.0, NOISE / PIXELS, (40, 2)),
                     f.points.ground) for f in (control, check)]
     recorder = _Recorder()
     inputs = ProblemData(model, control.with_(points=noisy[0]), noisy[1], PIXELS, recorder)
+    # A problem makes the fits as a search would; the recorder keeps them.
     SelectionProblem(inputs, terms=True, features=False).evaluate(masks)
     return recorder.seen[-1]
 

@@ -28,6 +28,7 @@ def alike_each_time(spec: DatasetSpec) -> None:
     """It loads the same features each time, and in another process."""
     first = _loaded(spec)
     for second in (_loaded(spec), pickled(first)):
+        # Compared by checksums, as arrays may hold NaN.
         require(of_features(first) == of_features(second),
                 "two calls of load() differ; draw random numbers from a generator with a seed")
 

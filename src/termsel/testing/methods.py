@@ -37,6 +37,7 @@ class Subject:
     def controls(self) -> list[FitData]:
         """Return the features that it does not decline."""
         controls = [FitData.of(features) for features in self.features]
+        # None is no reason: it takes the features.
         return [control for control in controls if self.method.declines(control) is None]
 
     def fits(self) -> list[tuple[FitData, Fit]]:
@@ -57,11 +58,13 @@ def declaration(subject: Subject) -> None:
     """It has a name, a title in words, and names what it contains."""
     candidate = subject.method
     check_declaration("methods", candidate)
+    # The title is used in sentences: "It fits a cubic polynomial."
     require(candidate.title.split(" ", 1)[0] in ("a", "an", "the"),
             f"its title is {candidate.title!r}; begin it with an article, as in "
             "\"a cubic polynomial\"")
     require(isinstance(candidate.max_features, numbers.Real) and candidate.max_features > 0,
             f"max_features is {candidate.max_features!r}; expected a number of features above 0")
+    # The choice would wait for itself.
     require(candidate.name not in (*candidate.contains, *candidate.needs),
             "it contains or needs itself")
 
@@ -88,6 +91,7 @@ def fits(subject: Subject) -> None:
         require(isinstance(fitted, Fit), f"fit() returned {type(fitted).__name__}, no Fit")
         require(isinstance(getattr(fitted.estimator, "name", None), str),
                 "its estimator has no name, by which a stored result is read again")
+        # A blunder must be left out by the method as a whole, or be in the fit.
         require(fitted.control.ids == control.features.ids,
                 "the fit has other control features than fit() was given")
         image = fitted.project(control.features.ground_vertices())
@@ -97,6 +101,7 @@ def fits(subject: Subject) -> None:
 def holds_out(subject: Subject) -> None:
     """It gives the squared error of each feature under the same procedure without it."""
     for control, _ in subject.fits():
+        # A method that has no errors of its own is refitted without each feature.
         fitted = validated(subject.method, control)
         if fitted is None:
             continue
@@ -113,6 +118,7 @@ def holds_out(subject: Subject) -> None:
         errors = _held_out(subject.method, control)
         if errors is None:
             continue
+        # Root of the mean square over the same features on both sides.
         stated = float(np.sqrt(np.mean(squares[:len(errors)])))
         repeated = float(np.sqrt(np.mean(errors)))
         # Only too good a figure is refused: a careful one costs nothing but a choice.
@@ -125,6 +131,8 @@ def repeats(subject: Subject) -> None:
     """The same features give the same fit again, in another process too."""
     for control, fitted in subject.fits():
         for copy in (subject.method, pickled(subject.method)):
+            # An equal fit gives the same coefficients to the last bit: the same operations in the
+            # same order.
             refit = copy.fit(control)
             require(np.array_equal(refit.adjustment.coefficients, fitted.adjustment.coefficients),
                     "fit() of the same features differs from one call or process to the "

@@ -51,6 +51,7 @@ def equations(model: SensorModel) -> None:
         if len(features.lines):
             features = _in_pieces(features)
         n = len(features.points)
+        # Two rows, line and sample, for a point; two for a line, one for each vertex.
         m = len(features.lines)
         rows_found = model.equations(features)
         of = f"of {n} points and {m} lines in {len(features) - n} features"
@@ -79,6 +80,7 @@ def linearisation(model: SensorModel) -> None:
     From its start, or the solution of `equations`, a fit to points that it computed converges.
     """
     features, truth, _ = experiment(model, 1, 0)
+    # Points that the model computed, so that the solution is known.
     points = features.points
     terms = np.ones(len(truth), bool)
     used = np.ones(len(features), bool)
@@ -115,6 +117,7 @@ def exact_recovery(model: SensorModel) -> None:
     features, truth, ground = experiment(model, 1, 0)
     _require_recovered(model, features, truth, ground, "points")
     points = features.points
+    # With weights the exact solution is the same.
     sigma = seeded().uniform(0.5, 2.0, (len(points), 2))
     weighted = Points(points.ids, points.image, points.ground, sigma)
     _require_recovered(model, features.with_(points=weighted), truth, ground,
@@ -173,6 +176,7 @@ def fit(model: SensorModel) -> None:
     features = FeatureSet(Points(points.ids, scaling.pixels(points.image),
                                  scaling.unscaled(points.ground)), crs=model.crs)
     exact = fit_model(features, model)
+    # In pixels, as `fit` takes features that are not scaled.
     image = scaling.pixels(model.project(truth, ground))
 
     def error_of(fitted: Fit) -> float:
@@ -201,6 +205,8 @@ def fit(model: SensorModel) -> None:
             noisy_fit.terms, np.ones(len(points) - 1, dtype=bool))
         expected = refit.errors(noisy_fit.control.points.take(~is_used))[0]
         off = np.hypot(*(expected - (left_out[i].line, left_out[i].sample)))
+        # An error without a point is that of a refit, but for rounding and the noise of the
+        # scaling.
         require(off <= REPEATED * (np.hypot(*expected) + NOISE * scaling.image_scale),
                 f"leave_one_out of fit() is {off:.2g} px from a fit without the point; do "
                 "the equations of a point depend on other points?")
@@ -217,6 +223,7 @@ def _require_recovered(model: SensorModel, features: FeatureSet, truth: FloatArr
 def _has_separate_denominators(model: SensorModel) -> bool:
     if not isinstance(model, RationalModel):
         return False
+    # A column in a denominator of its own couples a term with one axis only.
     blocks = model.blocks(np.zeros((1, 3)))
     return any(block is not None and block.shape[1]
                for block in (blocks.line_denominator, blocks.sample_denominator))

@@ -47,6 +47,7 @@ def term_names(model: SensorModel) -> None:
     twice = sorted({name for name in terms if terms.count(name) > 1})
     require(not twice, f"terms must have different names; several are called {', '.join(twice)}")
     model.equations(accepted_scenes(model)[-1])
+    # A result names its terms, and a twin must understand them.
     twin = _twin(model)
     require(model.terms == terms and twin.terms == terms,
             "terms must be the same names in the same order whenever they are asked for; results "
@@ -62,6 +63,7 @@ def axis(model: SensorModel) -> None:
             f"axis must have shape ({k},), one code per term, not {codes.shape}")
     require(np.issubdtype(codes.dtype, np.integer) and np.isin(codes, (0, 1, 2)).all(),
             f"axis must hold the integers 0 (line), 1 (sample) and 2 (both), not {codes}")
+    # Random, so that no coefficient is zero by chance.
     coefficients = random_coefficients(model, seeded())
     ground = random_ground(seeded(), 40)
     image = model.project(coefficients, ground)
@@ -94,6 +96,7 @@ def project_shapes(model: SensorModel) -> None:
     """It projects any number of points, none included, for one set of coefficients or many."""
     k = len(model.terms)
     coefficients = random_coefficients(model, seeded())
+    # No points at all, and no sets at all, occur at the ends of searches.
     for n, batch in product((0, 1, 7), ((), (1,), (5,), (2, 3))):
         image = model.project(np.broadcast_to(coefficients, (*batch, k)).copy(),
                               random_ground(seeded(), n))
@@ -113,6 +116,7 @@ def batch_project(model: SensorModel) -> None:
     def predict(coefficients: FloatArray, ground: FloatArray) -> FloatArray:
         return model.predict(coefficients, control, ground)
 
+    # A model without a denominator has none to compare.
     for name, method in (("project", model.project), ("denominators", model.denominators),
                          ("predict", predict)):
         joint = method(sets, ground)
@@ -135,6 +139,7 @@ def deterministic(model: SensorModel) -> None:
     coefficients = random_coefficients(model, seeded())
     first = model.equations(features)
     image = model.project(coefficients, ground)
+    # Nothing may be kept in the object between calls.
     for same_model in (model, _twin(model)):
         repeated = same_model.equations(features)
         require(np.array_equal(first.A, repeated.A) and np.array_equal(first.b, repeated.b),
@@ -147,6 +152,7 @@ def prepared(model: SensorModel) -> None:
     """Prepared for features, it has their scaling and CRS, and is otherwise unchanged."""
     before = model.scaling, model.crs
     assert model.scaling is not None
+    # Another image scale alone: all else must stay.
     scaling = replace(model.scaling, image_scale=2 * model.scaling.image_scale)
     ready = model.prepared(scaling, model.crs)
     require((ready.scaling, ready.crs) == (scaling, model.crs),
@@ -192,6 +198,7 @@ def height(model: SensorModel) -> None:
                           lines=replace(features.lines, ground=flattened(features.lines.ground)))
     first = model.equations(features)
     second = model.equations(flat)
+    # Positions tell whether heights act on the image, equations whether they act on the fit.
     same_image = np.array_equal(model.predict(coefficients, features, ground),
                                 model.predict(coefficients, flat, flattened(ground)))
     same_model = (same_image and np.array_equal(first.A, second.A)
@@ -221,6 +228,7 @@ def cases(model: type[SensorModel] | SensorModel, *,
           options: Iterable[Mapping[str, Any]] | None = None,
           place: tuple[Scaling, str] = PLACE) -> list[Case]:
     """Return a model with each of its options, prepared for a place."""
+    # An object has its options; of a class all choices are tried.
     cls, own_options = (model, None) if isinstance(model, type) else (type(model), [model.options])
     option_sets = next((o for o in (options, own_options) if o is not None), _choices(cls))
     return [Case(label(cls, o), partial(_made, cls, o, place)) for o in option_sets]
@@ -256,6 +264,7 @@ def _choices(model: type[SensorModel]) -> list[dict[str, Any]]:
 
 def _problems(model: SensorModel, features: FeatureSet) -> list[tuple[str, SelectionProblem]]:
     truth = random_coefficients(model, seeded())
+    # Selection points by the same model, at other places.
     check = imaged(model, truth, np.random.default_rng(2), points=10).points
     inputs = ProblemData(model, features, check, 1000.0, CheckRmse())
     return [("terms", SelectionProblem(inputs, terms=True, features=False)),

@@ -94,6 +94,7 @@ def _selections(points: int = 14, lines: int = 0) -> list[PopulationSelection]:
     recorder = Objective("recorder", "Records.", record)
     inputs = ProblemData(model, control, check, 1000.0, CheckRmse(), {}, objectives=(recorder,))
     for terms in (True, False):
+        # Two problems, as an objective may look at terms or at features.
         problem = SelectionProblem(inputs, terms=terms, features=not terms)
         size = problem.genome.size
         problem.evaluate(np.concatenate([np.zeros((1, size)), np.ones((1, size)),

@@ -14,6 +14,7 @@ def shown(section: ReportSection) -> None:
     """It makes blocks that texts and pages can show, or nothing, of every result."""
     for result in example_results():
         list(section.blocks(result))  # raises what it raises
+        # A section that raises is shown as a note with the reason, which is no pass.
         for block in section_of(section, result).blocks:
             require(getattr(block, "label", "") != "Not shown",
                     f"blocks() cannot be shown: {getattr(block, 'text', '')}")

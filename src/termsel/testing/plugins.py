@@ -50,6 +50,7 @@ class Installed:
 
     def modules(self) -> list[str]:
         """Return the modules of its entry points."""
+        # The first slot is that of what is built in.
         return sorted({slot.module for slot in self.registry.slots[1:]})
 
 
@@ -68,6 +69,7 @@ def loads(plugin: Installed) -> None:
 
 def provides(plugin: Installed) -> None:
     """It implements a hook, and what it provides says what it is."""
+    # A package that is found and implements nothing is a mistake of its hooks' names.
     require(any(loaded.hooks for loaded in plugin.registry.plugins[1:]), "it implements no hook")
     for kind in KINDS:
         for entry in plugin.registry.entries(kind):
@@ -78,6 +80,7 @@ def provides(plugin: Installed) -> None:
 def modest_import(plugin: Installed) -> None:
     """Its import is quick, prints nothing and changes nothing of the process."""
     for module in plugin.modules():
+        # In a new interpreter, since nothing is imported twice.
         done = subprocess.run([sys.executable, "-P", "-c", _IMPORT, module], text=True,
                               capture_output=True, check=False)
         require(done.returncode == 0, f"{module} cannot be imported: {done.stderr[-500:]}")

@@ -34,6 +34,7 @@ def declaration(problem: Problem) -> None:
 def evaluation_holds(problem: Problem) -> None:
     """It evaluates one individual and many: finite objectives, and violations of at least 0."""
     genes = _individuals(problem)
+    # An evaluation of one individual is what the final check of a search asks for.
     for individuals in (genes, genes[:1]):
         evaluation = problem.evaluate(individuals)
         fault = evaluation_fault(problem, evaluation, individuals)
@@ -101,6 +102,7 @@ def searched(problem: Problem) -> None:
     """A random search of 300 evaluations finds something feasible, which can be decoded."""
     if len(problem.objectives) > RandomSearch.max_objectives:
         return
+    # A random search, as a solver that is clever could hide what is missing.
     best = search(problem, RandomSearch(), evaluations=300)
     require(best.violation == 0, "no individual of 300 random ones is feasible; let genome.random "
                                   "and genome.repair know the conditions")
@@ -131,5 +133,6 @@ def _individuals(problem: Problem) -> np.ndarray:
 
 
 def _require_equal(first: Evaluation, second: Evaluation, message: str, near: float = 1e-9) -> None:
+    # Relatively, as costs may be of any size; rounding alone may differ.
     require(np.allclose(first.objectives, second.objectives, rtol=near, atol=1e-12)
             and np.allclose(first.violation, second.violation, rtol=near, atol=1e-12), message)

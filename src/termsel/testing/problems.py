@@ -78,6 +78,7 @@ class Watched(ProblemAround):
 
     def evaluate(self, genes: BoolArray) -> Evaluation:
         """Return the evaluation of genes, whose type, shape and rules must be kept."""
+        # Before the evaluation, so that a wrong gene is not judged at all.
         require_genes(self.genome, genes, "evaluate() got")
         self.calls += 1
         if self.before is not None:
@@ -124,6 +125,7 @@ def twelve_terms() -> SelectionProblem:
     model = Polynomial2D(degree=2)
     rng = np.random.default_rng(9)
     truth = rng.choice([-0.3, 0.3], SIZE) * (np.arange(SIZE) % 2 == 0)
+    # Every other term is needed: 0.3 is six times the noise.
     control, check = (imaged(model, truth, rng, points=12).points for _ in range(2))
     noisy = Points(control.ids, control.image + rng.normal(0.0, 0.05, (12, 2)), control.ground)
     return SelectionProblem(ProblemData(model, FeatureSet(noisy), check, 100.0, CheckRmse()),
@@ -139,6 +141,7 @@ def trap(size: int = 2 * SIZE) -> Toy:
     pattern = np.arange(size) % 2 == 0
 
     def judge(genes: BoolArray) -> tuple[FloatArray, FloatArray]:
+        # All but two genes of the pattern must be right; the cost rewards every wrong one.
         different = (genes != pattern).sum(axis=1).astype(np.float64)
         return size - different[:, None], np.maximum(different - 2, 0.0)
 
@@ -161,6 +164,7 @@ def bound() -> Toy:
     segments = (Bits("a", numbered("a", 8), 2, 4), Bits("b", numbered("b", 6), 3, 3),
                 Bits("c", numbered("c", 4)))
     genome = Genome(segments, on=("a1", "c1"), off=("a2",))
+    # Within the bounds of all three segments, and not the first that a search would meet.
     best = np.isin(genome.labels, ("a1", "a5", "a6", "b4", "b5", "b6", "c1", "c3"))
     return Toy(genome, lambda genes: (
         (genes != best).sum(axis=1, keepdims=True).astype(np.float64), np.zeros(len(genes))))

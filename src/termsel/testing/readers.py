@@ -45,6 +45,7 @@ def reads_example(example: Example) -> None:
     """It reads the example correctly, each time, and does not change the file."""
     with TemporaryDirectory() as folder:
         path = _put(example, folder, example.content)
+        # Twice, as a reader may keep something of the first time.
         for _ in range(2):
             _require_same(example.reader.read(path), example.expected, "the example")
         require(path.read_bytes() == example.content, "it changes the file it reads")
@@ -62,6 +63,7 @@ def sniffs_example(example: Example) -> None:
 def sniffs_anything(example: Example) -> None:
     """It returns False for bytes without meaning, and never raises."""
     with TemporaryDirectory() as folder:
+        # Bytes without meaning, of which a reader that guesses would make points.
         for content, description in _noise():
             path = _put(example, folder, content)
             try:
@@ -109,6 +111,7 @@ def wrong_encoding(example: Example) -> None:
     if example.text is None:
         return
     with TemporaryDirectory() as folder:
+        # UTF-16 holds the same text: it may be read, but not to other numbers.
         features = _read_or_refuse(example, folder, example.text.encode("utf-16"), "UTF-16 text")
         if features is not None:
             _require_same(features, example.expected, "the example as UTF-16")
@@ -161,6 +164,7 @@ def _noise() -> list[tuple[bytes, str]]:
 
 
 def _cuts(example: Example) -> list[int]:
+    # Cuts all over the file, as each part of it is read by other code.
     return sorted({int(n) for n in np.linspace(0, len(example.content) - 1, PIECES)})
 
 

@@ -39,6 +39,7 @@ def random_coefficients(model: SensorModel, rng: np.random.Generator) -> FloatAr
     ground = random_ground(rng, 500)
     change = rng.uniform(-1.0, 1.0, len(model.terms))
     start = model.start(FeatureSet(Points(
+        # Coefficients about the start of a model that is not linear; about 0 of one that is.
         numbered("p", 500), 0.5 * ground[:, 1::-1] * [-1.0, 1.0], ground)))
     middle, change = (0.0, change) if start is None else (start, 0.1 * change)
     for _ in range(60):
@@ -49,6 +50,7 @@ def random_coefficients(model: SensorModel, rng: np.random.Generator) -> FloatAr
         if (np.isfinite(image).all() and np.abs(image).max() <= 1.0
                 and (below is None or below.min() > LEAST_DENOMINATOR)):
             return coefficients
+        # Smaller ones, until there is neither a pole nor a place outside of [-1, 1].
         change *= 0.8
     raise AssertionError("project() gives no finite image within [-1, 1] of ground points within "
                          "[-1, 1], however small the coefficients, or near the start")
@@ -59,6 +61,7 @@ def imaged(model: SensorModel, coefficients: FloatArray, rng: np.random.Generato
     """Return so many control points and lines whose image coordinates the model computes itself."""
     ground = random_ground(rng, points)
     middle = rng.uniform(-0.7, 0.7, (lines, 1, 3))
+    # Lines of different directions, of at least a tenth of the scene.
     half = rng.uniform(0.1, 0.3, (lines, 1, 3)) * rng.choice([-1.0, 1.0], (lines, 1, 3))
     vertices = np.concatenate([middle - half, middle + half], axis=1)
     ends = model.project(coefficients, vertices.reshape(-1, 3)).reshape(-1, 2, 2)
@@ -80,6 +83,7 @@ def experiment(model: SensorModel, points: int, lines: int, shrink: float = 1.0,
     """
     rng = seeded()
     truth = random_coefficients(model, rng) * shrink
+    # Twelve or more, so that every model of up to 24 terms is determined.
     number = max(12, len(model.terms))
     features = imaged(model, truth, rng, points=points * number, lines=lines * number)
     return features, truth, random_ground(rng, 50)

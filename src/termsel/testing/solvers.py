@@ -62,6 +62,7 @@ def generations_hold(trial: Trial) -> None:
         evaluation = generation.evaluation
         require_genes(problem.genome, genes, f"generation {expected} has")
         require(len(genes) > 0, f"generation {expected} has no individuals")
+        # Evaluated again: a solver may hand on what it was told of other genes.
         true = problem.evaluate(genes)
         require(evaluation.objectives.shape == true.objectives.shape
                 and evaluation.violation.shape == true.violation.shape
@@ -83,6 +84,7 @@ def chance_from_rng_alone(trial: Trial) -> None:
     """The same seed gives the same search; global random states are neither used nor changed."""
     with global_states_kept():
         runs = []
+        # Global states differ between the two runs, so that whoever draws from them is seen.
         for seed in (1, 2):
             random.seed(seed)
             np.random.seed(seed)
@@ -127,6 +129,7 @@ def genome_kept(trial: Trial) -> None:
 def typed_genomes(trial: Trial) -> None:
     """It keeps genes of every type it declares valid, one by one and mixed in one genome."""
     declared = trial.solver.segments
+    # Each type alone first, as a mixture may hide which one is at fault.
     for types in (*([kind] for kind in declared), declared):
         if trial.takes(problems.typed(types)):
             problem = Watched(problems.typed(types))
@@ -149,6 +152,7 @@ def narrow_genomes(trial: Trial) -> None:
 
 def evaluation_budget(trial: Trial) -> None:
     """It evaluates through the problem it is given, and ends when the budget is spent."""
+    # Odd numbers, which no population divides.
     for budget in (1, 7, 123):
         problem = Watched(trial.problem())
         result = trial.search(problem, evaluations=budget)
@@ -175,6 +179,7 @@ def errors_pass(trial: Trial) -> None:
     raised: list[int] = []
 
     def before(call: int) -> None:
+        # After an exception nothing may be evaluated: the budget is spent.
         if raised:
             raise _Runaway
         if call == 2:
@@ -202,6 +207,7 @@ def closes(trial: Trial) -> None:
         if close is None:
             raise AssertionError("generations() must be a generator, a method with `yield`, whose "
                                  "iterator can be closed")
+        # The generator is closed where a run would: before, between and after generations.
         for _ in islice(running, count):
             pass
         calls = problem.calls
@@ -251,6 +257,7 @@ def feasible_first(trial: Trial) -> None:
     """It seeks feasible individuals, even where infeasible ones have better objectives."""
     if not trial.takes(problems.trap()):
         return
+    # Ends as soon as it is found, since the rest of the budget shows nothing.
     result = trial.search_until(lambda progress: progress.violation == 0, problems.trap(),
                                 evaluations=GENEROUS)
     require(result.violation == 0,

@@ -96,6 +96,7 @@ def checks(thing: Any, *, expected_failures: Mapping[str, str] | None = None,
     kind = _kind(thing)
     suite: Suite = SUITES[kind] if kind in SUITES else import_module(thing.suite).SUITE
     try:
+        # The arguments are looked at before the checks are made, so that a mistake is told at once.
         signature(suite.cases).bind(thing, **about)
     except TypeError as error:
         raise TermselError(f"the checks of {_kind(thing)}: {error}",
@@ -136,6 +137,7 @@ def _kind(item: Any) -> str:
     for kind, declared in KINDS.items():
         if declared.is_of(item):
             return kind
+    # Last, as models and solvers are classes, which can be called, too.
     if isinstance(item, Problem) or callable(item):
         return "problems"
     raise TermselError(f"there are no checks of {item!r:.100}",

@@ -36,6 +36,7 @@ class Trial:
 
     def posed(self, problem: Problem) -> Problem:
         """Return a problem with as many objectives as the solver needs."""
+        # Solvers of several objectives get the number of genes as a further one.
         while len(problem.objectives) < self.solver.min_objectives:
             problem = Counted(problem)
         return problem
@@ -63,6 +64,7 @@ class Trial:
         # Later generations must not be able to undo what was reached.
         def end(progress: Progress) -> None:
             if reached(progress):
+                # The end of a search from outside is Ctrl-C.
                 raise KeyboardInterrupt
 
         return self.search(problem, seed=seed, evaluations=evaluations, observers=[end])

@@ -58,6 +58,7 @@ def writes_file(export: Export) -> None:
     for result in export.accepted():
         with TemporaryDirectory() as folder:
             path = Path(folder) / export.filename
+            # Twice: to a new file, and over one that is there.
             for _ in range(2):
                 export.writer.write(result, path)
                 require(path.is_file() and path.stat().st_size, "write() writes no file, or an "
@@ -76,6 +77,7 @@ def result_unchanged(export: Export) -> None:
         with TemporaryDirectory() as folder:
             export.writer.write(result, Path(folder) / export.filename)
         require(replace(result).to_json() == before, "write() changes the result it is given")
+# In a folder that is removed, since a writer may write several files.
 
 
 def unwritable_path(export: Export) -> None:
@@ -123,6 +125,7 @@ def whole_or_nothing(export: Export) -> None:
             export.writer.write(result, path)
             size = path.stat().st_size
             path.write_bytes(OLD)
+            # Half of what it needs, so that it fails in the middle.
             with _file_size_limited(size // 2):
                 _refused(export, result, path, "a full disk")
             _require_old(path, "a full disk")
@@ -164,6 +167,7 @@ def example_results() -> tuple[Result, ...]:
                             crs="EPSG:4979", image_size=size)
     plane = FeatureSet(Points(ids, image, 4000.0 * points.ground), crs="local", image_size=size)
     results = []
+    # Two kinds of results: degrees with heights, and a plane without a CRS.
     for problem, features in (("rfm-terms", geographic), ("poly-terms", plane)):
         task = prepare(problem, features=features, solver="random", options={"population": 50})
         results.append(assessed(task, search(task.problem, task.solver, generations=1)))

@@ -116,6 +116,7 @@ _OPTIONS = (
 def run_options(command: Command) -> Command:
     """Add the options of `RunOptions` to a command, but for ``--out``."""
     command = remote_option(command)
+    # Decorators apply from the inside: reversed, help shows the options in the order of the list.
     for option in reversed(_OPTIONS):
         command = option(command)
     return command
@@ -168,11 +169,13 @@ class RunOptions:
     options: dict[str, str] = field(init=False)
 
     def __post_init__(self) -> None:
+        # The class is frozen; this one field follows from the others.
         object.__setattr__(self, "options", parse_settings(
             self.settings, fit_crs=self.fit_crs,
             projection_candidates=None if self.candidates is None else str(self.candidates),
             off=",".join(self.off) or None,
             role=",".join(self.role) or None, then=self.then))
+        # What excludes each other is refused here, before anything is read.
         if self.dataset is not None and self.files:
             raise TermselError("--dataset cannot be combined with files",
                                hint="Give --dataset NAME, or --points FILE and --lines FILE.")
@@ -208,6 +211,7 @@ class RunOptions:
     @property
     def source(self) -> str | None:
         """The files, for the record."""
+        # The file of image lines is data as well, whose checksum the record has.
         return ", ".join(str(path) for path in (*self.files, self.image_lines)
                          if path is not None) or None
 
@@ -225,6 +229,7 @@ class RunOptions:
 
         if self.out is None:
             return {}
+        # A format says how its files end; one that does not is named by its format.
         files = {to: self.out / f"result{writer_of(to).suffix or f'.{to}'}" for to in self.exports}
         written: list[Path] = []
         for to, file in files.items():
@@ -261,11 +266,13 @@ class RunOptions:
         from termsel.plugins.registry import registry
 
         options = dict(self.options)
+        # Areas of a problem that takes points alone are used as their centroids.
         if self.areas is not None and self.problem is not None \
                 and registry().get("problems", self.problem).control == "points":
             options.setdefault("areas_as", "centroid")
         if not self.files:
             return None, options
+        # Options of reading stand under --set with all others, and are told apart by their names.
         of_reading = {option.name: options.pop(option.name) for option in read_options()
                       if option.name in options} if options else {}
         arguments = {"raster": self.raster, "image_lines": self.image_lines,
@@ -288,6 +295,7 @@ class RunOptions:
         from termsel.core.files.drivers import remote_allowed
 
         words = ["termsel", "run", "--problem", problem]
+        # In the order in which a user would type them.
         data = {"--dataset": self.dataset, "--points": self.points, "--lines": self.lines,
                 "--areas": self.areas, **self._of_files, "--model": self.model,
                 "--solver": solver, "--criterion": criterion,
@@ -312,6 +320,7 @@ def with_files(files: Sequence[Path], arguments: Mapping[str, Any]) -> dict[str,
     """
     options = dict(arguments)
     for path in files:
+        # A table is known by its content, other files by their ending.
         kind = _kind_of(path)
         if options[kind] is not None:
             raise TermselError(f"{options[kind]} and {path} are both {kind}",
@@ -347,6 +356,7 @@ def parse_settings(settings: tuple[str, ...], **named: str | None) -> dict[str, 
         if key.strip() in options:
             raise TermselError(f"--set {key.strip()} is given twice", hint="Give it once.")
         options[key.strip()] = value.strip()
+    # --set key=value and the option of its own may say the same, not different things.
     for key, stated in named.items():
         if stated is not None and options.setdefault(key, stated) != stated:
             raise TermselError(f"{key} is given twice", hint="Give it once.")

@@ -17,6 +17,7 @@ PROGRESS = "termsel.progress"
 
 
 def _keep(context: click.Context, parameter: click.Parameter, form: str) -> None:  # noqa: ARG001
+    # Kept in the context, as the function of the command need not know of it.
     context.meta[PROGRESS] = form
 
 
@@ -41,6 +42,7 @@ def remote_option(command: Command) -> Command:
 
 
 def _allow(context: click.Context, parameter: click.Parameter, is_given: bool) -> None:  # noqa: ARG001
+    # While a shell completes words nothing is run, and nothing need be allowed.
     if is_given and not context.resilient_parsing:
         from termsel.core.files.drivers import allow_remote as allowed
 
