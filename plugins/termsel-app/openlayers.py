@@ -43,9 +43,9 @@ class OpenLayersHook(BuildHookInterface[Any]):
                     f"OpenLayers could not be fetched by npm ({error}): this package of "
                     "termsel-app has no page. Install Node.js and build it again.")
                 return
-        place = PLACE if self.target_name == "wheel" else "vendor"
+        target = PLACE if self.target_name == "wheel" else "vendor"
         for name in FILES:
-            build_data["force_include"][str(folder / name)] = f"{place}/{name}"
+            build_data["force_include"][str(folder / name)] = f"{target}/{name}"
 
 
 def fetch(folder: Path) -> None:
@@ -53,10 +53,10 @@ def fetch(folder: Path) -> None:
     npm = shutil.which("npm")
     if npm is None:
         raise OSError("npm is not installed")
-    with tempfile.TemporaryDirectory() as place:
-        subprocess.run([npm, "pack", "--silent", PACKAGE], cwd=place, check=True, timeout=300,
-                       stdout=subprocess.DEVNULL)
-        archive = next(Path(place).glob("*.tgz"))
+    with tempfile.TemporaryDirectory() as folder_of_archive:
+        subprocess.run([npm, "pack", "--silent", PACKAGE], cwd=folder_of_archive, check=True,
+                       timeout=300, stdout=subprocess.DEVNULL)
+        archive = next(Path(folder_of_archive).glob("*.tgz"))
         digest = base64.b64encode(hashlib.sha512(archive.read_bytes()).digest()).decode()
         if digest != SHA512:
             raise ValueError(f"{PACKAGE} has another checksum")
@@ -71,6 +71,6 @@ def fetch(folder: Path) -> None:
 def write(path: Path, content: bytes) -> None:
     """Write a file whole, as another build may be doing the same."""
     path.parent.mkdir(exist_ok=True)
-    part = path.with_name(f"{path.name}.{os.getpid()}")
-    part.write_bytes(content)
-    part.replace(path)
+    unfinished = path.with_name(f"{path.name}.{os.getpid()}")
+    unfinished.write_bytes(content)
+    unfinished.replace(path)

@@ -69,16 +69,16 @@ def app(image: str | None, maps: tuple[str, ...], points: Path | None, lines: Pa
     from termsel_app.session import Files, open_session
 
     require_page()
-    given = Files(image, maps, _name(points), _name(lines), _name(rpc), _name(dem), crs)
+    files = Files(image, maps, _name(points), _name(lines), _name(rpc), _name(dem), crs)
     if example:
-        given, folder = example_files(given, folder)
+        files, folder = example_files(files, folder)
     elif image is None:
         raise TermselError("no image is given",
                            hint="Give an image: termsel app scan.tif --map ortho.tif. Or look at "
                                 "the example: termsel app --example.")
     else:
-        given, folder = found(given, folder)
-    with open_session(given, folder, remote=remote_allowed(),
+        files, folder = found(files, folder)
+    with open_session(files, folder, remote=remote_allowed(),
                       drivers=allowed_drivers()) as session:
 
         def started(address: str, first_address: str) -> None:
@@ -98,7 +98,7 @@ def _name(path: Path | None) -> str | None:
     return None if path is None else str(path)
 
 
-def found(given: Files, folder: Path | None) -> tuple[Files, Path]:
+def found(files: Files, folder: Path | None) -> tuple[Files, Path]:
     """Return the files of a session and its folder, where the first argument may be either."""
     from dataclasses import replace
 
@@ -106,18 +106,18 @@ def found(given: Files, folder: Path | None) -> tuple[Files, Path]:
     from termsel_app.journal import NAME, header_of
     from termsel_app.session import Files
 
-    place = Path(given.image or "")
-    if is_iiif(given.image):
-        return given, folder or by_default(f"{place.parent.name or 'image'}-control")
-    if not place.is_dir():
-        return given, folder or by_default(f"{place.stem or 'image'}-control")
-    if (place / NAME).exists():
-        kept = Files.of_header(header_of(place), place)
-        return replace(kept, maps=kept.maps + given.maps), folder or place
-    if (place / "result.json").exists():
-        beside = place.with_name(f"{place.name}-control")
-        return of_result(place, given), folder or by_default(beside)
-    raise TermselError("this folder contains neither a session nor a result", file=place,
+    path = Path(files.image or "")
+    if is_iiif(files.image):
+        return files, folder or by_default(f"{path.parent.name or 'image'}-control")
+    if not path.is_dir():
+        return files, folder or by_default(f"{path.stem or 'image'}-control")
+    if (path / NAME).exists():
+        before = Files.of_header(header_of(path), path)
+        return replace(before, maps=before.maps + files.maps), folder or path
+    if (path / "result.json").exists():
+        beside = path.with_name(f"{path.name}-control")
+        return of_result(path, files), folder or by_default(beside)
+    raise TermselError("this folder contains neither a session nor a result", file=path,
                        hint="Give an image, or the folder that `termsel app` or `termsel run "
                             "--out` wrote.")
 
@@ -129,29 +129,29 @@ def by_default(name: Path | str) -> Path:
     return folder
 
 
-def of_result(place: Path, given: Files) -> Files:
+def of_result(folder: Path, files: Files) -> Files:
     """Return the files that show a result: its points and lines, without the image."""
     from dataclasses import replace
 
     from termsel import read_result
 
-    features = read_result(place).features
-    names = {kind: str(place / f"{kind}.csv") for kind in ("points", "lines")
-             if (place / f"{kind}.csv").exists()}
-    return replace(given, image=None, points=names.get("points"), lines=names.get("lines"),
+    features = read_result(folder).features
+    names = {kind: str(folder / f"{kind}.csv") for kind in ("points", "lines")
+             if (folder / f"{kind}.csv").exists()}
+    return replace(files, image=None, points=names.get("points"), lines=names.get("lines"),
                    crs=features.crs, size=features.image_size)
 
 
-def example_files(given: Files, folder: Path | None) -> tuple[Files, Path]:
+def example_files(files_given: Files, folder: Path | None) -> tuple[Files, Path]:
     """Write the files of the tutorial, unless they are there, and return those of its scene."""
     from dataclasses import replace
 
     from termsel.toolkit.files import write_example
 
-    place = folder or by_default(EXAMPLE)
-    if not (place / "files").exists():
-        place.mkdir(parents=True, exist_ok=True)
-        write_example(place / "files")
-    files = place / "files"
-    return replace(given, image=str(files / "scene.tif"), maps=(str(files / "ortho.tif"),),
-                   dem=str(files / "dem.tif"), crs="EPSG:4979"), place
+    session_folder = folder or by_default(EXAMPLE)
+    if not (session_folder / "files").exists():
+        session_folder.mkdir(parents=True, exist_ok=True)
+        write_example(session_folder / "files")
+    files = session_folder / "files"
+    return replace(files_given, image=str(files / "scene.tif"), maps=(str(files / "ortho.tif"),),
+                   dem=str(files / "dem.tif"), crs="EPSG:4979"), session_folder

@@ -94,11 +94,12 @@ class ControlFeatures:
         for patch in patches:
             before = None if patch.before is None else patch.before["id"]
             after = None if patch.after is None else patch.after["id"]
+            # A feature that gets another name keeps its rank among the others.
             if before is not None and before != after:
                 self._records.pop(before, None)
-                place = self._places.pop(before, self._begun)
+                rank = self._places.pop(before, self._begun)
                 if after is not None:
-                    self._places[after] = place
+                    self._places[after] = rank
                     self._in_order = False
             if after is not None and patch.after is not None:
                 self._begun += 1
@@ -125,26 +126,29 @@ class ControlFeatures:
         points = self.complete("point")
         lines = [record for record in self.complete("line")
                  if record["role"] != "off" and is_whole(record)]
+        vertices: list[Any] = []
+        for record in lines:
+            vertices += record["ground"]
+        point_ground = _ground(record["ground"] for record in points)
         return FeatureSet(
             points=Points(tuple(record["id"] for record in points),
                           np.array([record["image"] for record in points]).reshape(-1, 2),
-                          _ground(record["ground"] for record in points).reshape(-1, 3), None,
+                          point_ground.reshape(-1, 3), None,
                           tuple(record["role"] for record in points)),
             lines=Lines(tuple(record["id"] for record in lines),
                         np.array([record["image"] for record in lines]).reshape(-1, 2, 2),
-                        _ground(vertex for record in lines
-                                for vertex in record["ground"]).reshape(-1, 2, 3)),
+                        _ground(vertices).reshape(-1, 2, 3)),
             crs=crs)
 
 
 def is_whole(record: Record) -> bool:
     """Return whether a line has two places in the image and two on the ground."""
-    return all(record[side] and len(record[side]) == 2 for side in ("image", "ground"))
+    return all(record[space] and len(record[space]) == 2 for space in ("image", "ground"))
 
 
-def _ground(places: Iterable[Any]) -> Any:
+def _ground(positions: Iterable[Any]) -> Any:
     """Return ground coordinates with NaN for heights that are not known."""
-    return np.array([[x, y, np.nan if z is None else z] for x, y, z in places], dtype=np.float64)
+    return np.array([[x, y, np.nan if z is None else z] for x, y, z in positions], dtype=np.float64)
 
 
 def checked(record: Mapping[str, Any]) -> Record:
@@ -176,7 +180,7 @@ def _places(value: Any, size: int, count: int | None) -> Any:
         return _place(value, size)
     if not isinstance(value, list) or len(value) > count:
         raise TermselError("a line has two ends")
-    return [_place(place, size) for place in value]
+    return [_place(position, size) for position in value]
 
 
 def _place(value: Any, size: int) -> list[float | None]:

@@ -28,20 +28,22 @@ def graticule(places: Places, box: Box) -> list[dict[str, Any]]:
 
     Each has its label, its vertices on the map, and their ground x and y.
     """
-    side = np.linspace(0, 1, 9)
-    mesh = np.stack(np.meshgrid(box[0] + side * (box[2] - box[0]),
-                                box[1] + side * (box[3] - box[1])), axis=-1).reshape(-1, 2)
+    steps = np.linspace(0, 1, 9)
+    mesh = np.stack(np.meshgrid(box[0] + steps * (box[2] - box[0]),
+                                box[1] + steps * (box[3] - box[1])), axis=-1).reshape(-1, 2)
     west, south, east, north = box_of(turned(between(places.plane, places.shown), mesh,
                                              inverse=True))
+    # Lines of constant x from south to north, then lines of constant y from west to east.
     lines = []
     for axis, (low, high, first, last) in enumerate(((west, east, south, north),
                                                      (south, north, west, east))):
         step = round_step(high - low)
+        # As many decimals as the step has.
         digits = max(-math.floor(math.log10(step)), 0)
         for number in range(math.ceil(low / step), math.floor(high / step) + 1):
-            along = np.linspace(first, last, _VERTICES)
+            vertices = np.linspace(first, last, _VERTICES)
             across = np.full(_VERTICES, number * step)
-            ground = np.column_stack([across, along] if axis == 0 else [along, across])
+            ground = np.column_stack([across, vertices] if axis == 0 else [vertices, across])
             lines.append({"label": f"{number * step:,.{digits}f}", "axis": "xy"[axis],
                           "ground": ground,
                           "map": [vertex for vertex in places.to_map(ground).tolist()

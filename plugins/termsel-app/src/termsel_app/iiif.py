@@ -41,8 +41,8 @@ class IiifImage:
     @property
     def origin(self) -> str:
         """The scheme and server of its tiles."""
-        parts = urlsplit(self.id)
-        return f"{parts.scheme}://{parts.netloc}"
+        address = urlsplit(self.id)
+        return f"{address.scheme}://{address.netloc}"
 
 
 def is_iiif(name: str | None) -> bool:

@@ -175,12 +175,15 @@ def replayed(entries: list[dict[str, Any]], path: Path) -> ControlFeatures:
 
 def patches_of(entry: Mapping[str, Any]) -> list[Patch]:
     """Return the patches of an entry; raises TermselError if it has none."""
-    given = entry.get("change")
-    if not isinstance(given, list) or not all(
-            isinstance(pair, list) and len(pair) == 2 for pair in given):
+    change = entry.get("change")
+    if not isinstance(change, list) or not all(
+            isinstance(pair, list) and len(pair) == 2 for pair in change):
         raise TermselError("it has no change")
-    return [Patch(*(None if record is None else checked(_mapping(record)) for record in pair))
-            for pair in given]
+    patches = []
+    for pair in change:
+        before, after = (None if record is None else checked(_mapping(record)) for record in pair)
+        patches.append(Patch(before, after))
+    return patches
 
 
 def _mapping(record: Any) -> dict[str, Any]:

@@ -28,8 +28,8 @@ Box = tuple[float, float, float, float]
 
 def is_tiles(name: str) -> bool:
     """Return whether a map is named by the address of its tiles."""
-    return name.startswith(("http://", "https://")) and all(
-        part in name for part in ("{x}", "{z}")) and ("{y}" in name or "{-y}" in name)
+    return name.startswith(("http://", "https://")) and "{x}" in name and "{z}" in name \
+        and ("{y}" in name or "{-y}" in name)
 
 
 def is_vector(name: str) -> bool:
@@ -69,25 +69,28 @@ class MapRaster:
         """Close the file."""
         self.raster.close()
 
-    def box(self, shown: str) -> Box:
+    def box(self, crs: str) -> Box:
         """Return the extent in the CRS that is shown."""
         dataset = self.raster.dataset
-        side = np.linspace(0, 1, 21)
-        ends = (np.zeros_like(side), np.ones_like(side))
-        edge = np.concatenate([np.column_stack(pair) for end in ends
-                               for pair in ((side, end), (end, side))])
+        share = np.linspace(0, 1, 21)
+        zero = np.zeros_like(share)
+        unit = np.ones_like(share)
+        # Along all four edges: in another CRS they are curves.
+        edge = np.concatenate([np.column_stack([share, zero]), np.column_stack([zero, share]),
+                               np.column_stack([share, unit]), np.column_stack([unit, share])])
         x, y = dataset.transform @ (edge[:, 0] * dataset.width, edge[:, 1] * dataset.height)
-        return box_of(turned(between(self.crs, shown), np.column_stack([x, y])))
+        return box_of(turned(between(self.crs, crs), np.column_stack([x, y])))
 
-    def resolution(self, shown: str) -> float:
+    def resolution(self, crs: str) -> float:
         """Return the size of a pixel in the middle, in the CRS that is shown."""
         dataset = self.raster.dataset
-        row, column = dataset.height / 2, dataset.width / 2
+        row = dataset.height / 2
+        column = dataset.width / 2
         x, y = dataset.transform @ (np.array([column, column + 1]), np.array([row, row]))
-        ends = turned(between(self.crs, shown), np.column_stack([x, y]))
+        ends = turned(between(self.crs, crs), np.column_stack([x, y]))
         return float(np.hypot(*(ends[1] - ends[0])))
 
-    def tile(self, box: Box, shown: str) -> Pixels:
+    def tile(self, box: Box, crs: str) -> Pixels:
         """Return the colours of a box in the CRS that is shown."""
         from affine import Affine
 
@@ -95,19 +98,19 @@ class MapRaster:
         dataset = self.raster.dataset
         transform = dataset.transform
         upright = transform.b == transform.d == 0 and transform.e < 0
-        if upright and between(self.crs, shown) is None:
+        if upright and between(self.crs, crs) is None:
             return self.raster.pixels(((transform.f - north) / -transform.e,
                                        (west - transform.c) / transform.a,
                                        (north - south) / -transform.e,
                                        (east - west) / transform.a), (TILE, TILE))
         target = Affine(((east - west) / TILE), 0, west, 0, (south - north) / TILE, north)
         rows, columns = np.mgrid[0:TILE, 0:TILE] + 0.5
-        return self._resampled(target @ (columns.ravel(), rows.ravel()), shown)
+        return self._resampled(target @ (columns.ravel(), rows.ravel()), crs)
 
-    def _resampled(self, xy: Any, shown: str) -> Pixels:
+    def _resampled(self, xy: Any, crs: str) -> Pixels:
         """Return the colours at places of a tile, by the nearest pixel of what is read for it."""
-        places = turned(between(self.crs, shown), np.column_stack(xy), inverse=True)
-        columns, rows = ~self.raster.dataset.transform @ (places[:, 0], places[:, 1])
+        positions = turned(between(self.crs, crs), np.column_stack(xy), inverse=True)
+        columns, rows = ~self.raster.dataset.transform @ (positions[:, 0], positions[:, 1])
         return resampled(self.raster, rows - 0.5, columns - 0.5)
 
 
@@ -117,19 +120,23 @@ def resampled(raster: Raster, lines: Any, samples: Any) -> Pixels:
     What is read has about the resolution of the tile, and the nearest of its pixels counts.
     """
     tile = np.zeros((TILE * TILE, 4), dtype=np.uint8)
-    seen = np.flatnonzero((lines > -0.5) & (lines < raster.height - 0.5)
+    inside = np.flatnonzero((lines > -0.5) & (lines < raster.height - 0.5)
                           & (samples > -0.5) & (samples < raster.width - 0.5))
-    if not len(seen):
+    if not len(inside):
         return tile.reshape(TILE, TILE, 4)
-    top, left = lines[seen].min() + 0.5, samples[seen].min() + 0.5
-    size = np.array([lines[seen].max() + 0.5 - top, samples[seen].max() + 0.5 - left])
+    first_line = lines[inside].min() + 0.5
+    first_sample = samples[inside].min() + 0.5
+    size = np.array([lines[inside].max() + 0.5 - first_line,
+                     samples[inside].max() + 0.5 - first_sample])
+    # No more pixels are read than twice those of the tile: of a finer image the rest would be for
+    # nothing.
     shape = np.clip(np.ceil(size), 1, 2 * TILE).astype(int)
-    pixels = raster.pixels((float(top), float(left), float(max(size[0], 1.0)),
+    pixels = raster.pixels((float(first_line), float(first_sample), float(max(size[0], 1.0)),
                             float(max(size[1], 1.0))), (int(shape[0]), int(shape[1])))
     steps = np.maximum(size, 1.0) / shape
-    row = np.clip((lines[seen] + 0.5 - top) / steps[0], 0, shape[0] - 1).astype(np.intp)
-    column = np.clip((samples[seen] + 0.5 - left) / steps[1], 0, shape[1] - 1).astype(np.intp)
-    tile[seen] = pixels[row, column]
+    row = np.clip((lines[inside] + 0.5 - first_line) / steps[0], 0, shape[0] - 1)
+    column = np.clip((samples[inside] + 0.5 - first_sample) / steps[1], 0, shape[1] - 1)
+    tile[inside] = pixels[row.astype(np.intp), column.astype(np.intp)]
     return tile.reshape(TILE, TILE, 4)
 
 
@@ -138,14 +145,16 @@ def box_of(xy: FloatArray) -> Box:
     xy = xy[np.isfinite(xy).all(axis=1)]
     if not len(xy):
         return (0.0, 0.0, 1.0, 1.0)
-    low, high = xy.min(axis=0), xy.max(axis=0)
+    low = xy.min(axis=0)
+    high = xy.max(axis=0)
     return (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
 
 
 def around(boxes: Sequence[Box]) -> Box:
     """Return the extent of all boxes."""
     values = np.array(boxes)
-    low, high = values[:, :2].min(axis=0), values[:, 2:].max(axis=0)
+    low = values[:, :2].min(axis=0)
+    high = values[:, 2:].max(axis=0)
     return (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
 
 
@@ -193,12 +202,13 @@ def open_maps(names: Sequence[str], crs: str | None, remote: bool) -> Maps:
                 rasters.append(MapRaster(name, remote, crs))
         tiles = [name for name in names if is_tiles(name)]
         vectors = [_layer_of(name) for name in names if not is_tiles(name) and is_vector(name)]
-        stated = [raster.crs for raster in rasters] + [own for _, own in vectors if own]
+        stated = [raster.crs for raster in rasters]
+        stated += [crs_of_layer for _, crs_of_layer in vectors if crs_of_layer]
         first = MERCATOR if tiles else next(iter(stated), crs or LOCAL)
         maps = Maps(shown_crs(normalise(first)), rasters, [], tiles)
-        for name, (shapes, own) in zip([name for name in names if not is_tiles(name)
+        for name, (shapes, crs_of_layer) in zip([name for name in names if not is_tiles(name)
                                         and is_vector(name)], vectors, strict=True):
-            maps.vectors.append(_shown(name, shapes, own or crs, maps.shown))
+            maps.vectors.append(_shown(name, shapes, crs_of_layer or crs, maps.shown))
         _say_far(maps)
     except BaseException:
         for raster in rasters:
@@ -217,7 +227,7 @@ def _layer_of(name: str) -> tuple[Any, str]:
     return shapes, normalise(stated) if stated else ""
 
 
-def _shown(name: str, shapes: Any, crs: str | None, shown: str) -> VectorLayer:
+def _shown(name: str, shapes: Any, crs: str | None, page_crs: str) -> VectorLayer:
     """Return shapes of a CRS as a layer in the CRS that is shown."""
     import shapely
 
@@ -230,7 +240,7 @@ def _shown(name: str, shapes: Any, crs: str | None, shown: str) -> VectorLayer:
         raise TermselError(f"this layer has {count:,} vertices, and the page shows at most "
                            f"{MOST_VERTICES:,}", file=name,
                            hint="Cut out the area, for example with ogr2ogr -spat.")
-    transformer = between(normalise(crs), shown)
+    transformer = between(normalise(crs), page_crs)
     shapes = shapely.transform(shapes, lambda xy: turned(transformer, xy))
     features = [{"type": "Feature", "properties": {}, "geometry": shapely.geometry.mapping(shape)}
                 for shape in shapes if np.isfinite(shapely.get_coordinates(shape)).all()]
@@ -244,7 +254,7 @@ def _say_far(maps: Maps) -> None:
     layers += [(layer.name, layer.box) for layer in maps.vectors]
     for name, box in layers[1:]:
         first = layers[0][1]
-        apart = (box[0] > first[2] or box[2] < first[0] or box[1] > first[3] or box[3] < first[1])
-        if apart:
+        is_far = (box[0] > first[2] or box[2] < first[0] or box[1] > first[3] or box[3] < first[1])
+        if is_far:
             maps.notes.append(f"{name} does not overlap {layers[0][0]}: is it a map of another "
                               "area?")

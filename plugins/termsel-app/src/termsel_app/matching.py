@@ -76,8 +76,8 @@ def refined_place(session: Session, name: str) -> dict[str, Any]:
     for matcher in _MATCHERS:
         shift = _agreed(_shifts(termsel.get("matchers", matcher)(), first, second))
         if shift is not None:
-            place = np.asarray(record["image"]) - shift
-            return {"image": place.tolist(), "distance": float(np.hypot(*shift)),
+            refined = np.asarray(record["image"]) - shift
+            return {"image": refined.tolist(), "distance": float(np.hypot(*shift)),
                     "matcher": matcher}
     raise TermselError(f"image and map do not look alike around {name}",
                        hint="The point stays as it is.")
@@ -112,46 +112,50 @@ def _windows(session: Session, prediction: Prediction, record: Record) -> tuple[
     from termsel_match.matchers import Window
 
     assert session.image is not None
-    side = 2 * HALF + 1
+    width = 2 * HALF + 1
     line, sample = record["image"]
     # Whole pixels, so that the image itself is not resampled.
-    top, left = round(line) - HALF, round(sample) - HALF
-    picture = session.image.pixels((top, left, side, side), (side, side))
-    nodes = np.linspace(0, side - 1, NODES)
+    first_line = round(line) - HALF
+    first_sample = round(sample) - HALF
+    picture = session.image.pixels((first_line, first_sample, width, width), (width, width))
+    nodes = np.linspace(0, width - 1, NODES)
     mesh = np.stack(np.meshgrid(nodes, nodes, indexing="ij"), axis=-1).reshape(-1, 2)
-    on_map = prediction.to_map(mesh + np.array([top, left]))
+    on_map = prediction.to_map(mesh + np.array([first_line, first_sample]))
     at_point = prediction.to_map([record["image"]])[0]
+    # The map is looked at where it would be if the point were right: the mean difference of model
+    # and point is taken off.
     on_map += session.places.to_map([record["ground"][:2]])[0] - at_point
     for raster in session.maps.rasters:
-        seen = _seen(raster, on_map, session.maps.shown, side)
-        if seen[1].mean() > 0.5:
-            return Window(*_grey(picture)), Window(*seen)
+        map_window = _seen(raster, on_map, session.maps.shown, width)
+        if map_window[1].mean() > 0.5:
+            return Window(*_grey(picture)), Window(*map_window)
     raise TermselError("no raster of the map shows this position")
 
 
-def _seen(raster: MapRaster, on_map: FloatArray, shown: str, side: int) -> tuple[Any, Any]:
+def _seen(raster: MapRaster, on_map: FloatArray, page_crs: str, width: int) -> tuple[Any, Any]:
     """Return the grey that a raster shows at places that a grid of nodes gives, and where it does.
 
     Interpolated: the nearest pixels would be off by up to half of one.
     """
     from scipy.ndimage import map_coordinates
 
-    places = turned(between(raster.crs, shown), on_map, inverse=True)
-    columns, rows = ~raster.raster.dataset.transform @ (places[:, 0], places[:, 1])
+    positions = turned(between(raster.crs, page_crs), on_map, inverse=True)
+    columns, rows = ~raster.raster.dataset.transform @ (positions[:, 0], positions[:, 1])
     if not np.isfinite(rows + columns).all():
-        return _grey(np.zeros((side, side, 4), dtype=np.uint8))
-    top, left = np.floor([rows.min(), columns.min()]).astype(int) - 1
-    size = np.ceil([rows.max() - top, columns.max() - left]).astype(int) + 2
+        return _grey(np.zeros((width, width, 4), dtype=np.uint8))
+    first_row, first_column = np.floor([rows.min(), columns.min()]).astype(int) - 1
+    size = np.ceil([rows.max() - first_row, columns.max() - first_column]).astype(int) + 2
     step = max(-(-int(size.max()) // LARGEST), 1)  # a map that is far finer than the image
     shape = (-(-int(size[0]) // step), -(-int(size[1]) // step))
-    grey, known = _grey(raster.raster.pixels((top, left, shape[0] * step, shape[1] * step), shape))
-    at = np.arange(side) / (side - 1) * (NODES - 1)
+    box = (first_row, first_column, shape[0] * step, shape[1] * step)
+    grey, opaque = _grey(raster.raster.pixels(box, shape))
+    at = np.arange(width) / (width - 1) * (NODES - 1)
     mesh = np.meshgrid(at, at, indexing="ij")
     lines, samples = (
         (map_coordinates(values.reshape(NODES, NODES), mesh, order=1) - start) / step - 0.5
-        for values, start in ((rows, top), (columns, left)))
+        for values, start in ((rows, first_row), (columns, first_column)))
     return (map_coordinates(grey, [lines, samples], order=1),
-            map_coordinates(known.astype(np.float32), [lines, samples], order=1) > 0.999)
+            map_coordinates(opaque.astype(np.float32), [lines, samples], order=1) > 0.999)
 
 
 def _grey(pixels: Pixels) -> tuple[Any, Any]:

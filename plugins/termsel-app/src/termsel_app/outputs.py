@@ -118,8 +118,8 @@ def completed(command: Sequence[str], files: Files, folder: Path) -> list[str]:
     if "{image}" in command and (files.image is None or is_iiif(files.image)):
         raise TermselError("a map needs the image as a file, and this session has none",
                            hint="Start `termsel app IMAGE --points points.csv`.")
-    arguments = [from_folder(str(files.image), folder) if part == "{image}" else part
-                 for part in command]
+    arguments = [from_folder(str(files.image), folder) if argument == "{image}" else argument
+                 for argument in command]
     if command[0] == "rectify" and files.dem is not None:
         arguments += ["--dem", from_folder(files.dem, folder)]
     return arguments
@@ -135,8 +135,8 @@ def call(arguments: Sequence[str], folder: Path) -> None:
         raise TermselError(f"termsel {arguments[0]} takes longer than {_SECONDS // 60} minutes",
                            hint="Run it in a terminal.") from None
     if done.returncode:
-        said = [line for line in done.stderr.strip().splitlines() if line.strip()]
-        message = " ".join(line.strip() for line in said[-4:]).removeprefix("Error: ")
+        error_lines = [line for line in done.stderr.strip().splitlines() if line.strip()]
+        message = " ".join(line.strip() for line in error_lines[-4:]).removeprefix("Error: ")
         raise TermselError(message or f"termsel {arguments[0]} failed")
 
 

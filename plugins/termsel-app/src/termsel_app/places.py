@@ -39,11 +39,11 @@ def between(source: str, target: str) -> Any:
 
 def turned(transformer: Any, xy: Any, inverse: bool = False) -> FloatArray:
     """Return x and y (n, 2) by a transformer, infinite where that cannot be."""
-    places: FloatArray = np.asarray(xy, dtype=np.float64).reshape(-1, 2)
+    positions: FloatArray = np.asarray(xy, dtype=np.float64).reshape(-1, 2)
     if transformer is None:
-        return places
+        return positions
     with _LOCK:
-        x, y = transformer.transform(places[:, 0], places[:, 1],
+        x, y = transformer.transform(positions[:, 0], positions[:, 1],
                                      direction="INVERSE" if inverse else "FORWARD")
     return np.column_stack([x, y])
 
@@ -61,9 +61,9 @@ class Places:
         Raster of heights, open until `close`.
     """
 
-    def __init__(self, crs: str, shown: str, dem: Path | None = None) -> None:
+    def __init__(self, crs: str, page_crs: str, dem: Path | None = None) -> None:
         self.crs = crs
-        self.shown = shown
+        self.shown = page_crs
         self._stack = ExitStack()
         self._lock = Lock()
         self._surface = None if dem is None else self._stack.enter_context(open_dem(dem, crs))
@@ -96,9 +96,9 @@ class Places:
 
     def heights(self, xy: FloatArray) -> FloatArray:
         """Return heights of ground places x and y (n, 2) from the DEM; NaN without one."""
-        known = np.full(len(xy), np.nan)
+        heights = np.full(len(xy), np.nan)
         finite = np.isfinite(xy).all(axis=1)
         with self._lock:
             if self._surface is not None and finite.any():
-                known[finite] = self._surface(xy[finite])
-        return known
+                heights[finite] = self._surface(xy[finite])
+        return heights

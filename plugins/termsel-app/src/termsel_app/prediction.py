@@ -61,10 +61,10 @@ class Prediction:
     def to_image(self, xy: Any) -> FloatArray:
         """Return line and sample (n, 2) of places on the map; NaN where the model sees none."""
         ground = self.ground(xy)
-        seen = np.isfinite(ground).all(axis=1)
+        finite = np.isfinite(ground).all(axis=1)
         image = np.full((len(ground), 2), np.nan)
-        if seen.any():
-            image[seen] = self.result.project(ground[seen])
+        if finite.any():
+            image[finite] = self.result.project(ground[finite])
         return image
 
     def to_map(self, image: Any) -> FloatArray:
@@ -73,11 +73,12 @@ class Prediction:
         image = np.asarray(image, dtype=np.float64).reshape(-1, 2)
         surface = self._surface if self.places.has_heights and not self.in_map else self.height()
         ground = self.result.locate(image, surface)
-        known = np.isfinite(ground[:, :2]).all(axis=1)
-        places = np.full((len(image), 2), np.nan)
-        if known.any():
-            places[known] = ground[known, :2] if self.in_map else self.places.to_map(ground[known])
-        return places
+        finite = np.isfinite(ground[:, :2]).all(axis=1)
+        on_map = np.full((len(image), 2), np.nan)
+        if finite.any():
+            on_map[finite] = ground[finite, :2] if self.in_map \
+                else self.places.to_map(ground[finite])
+        return on_map
 
     def _surface(self, xy: FloatArray) -> FloatArray:
         heights = self.places.heights(np.asarray(xy, dtype=np.float64))
@@ -91,27 +92,29 @@ class Prediction:
     def in_image(self, xy: Sequence[float]) -> dict[str, Any] | None:
         """Return where a place of the map is in the image, and the ellipse that nine in ten hold.
         """
-        place = self.to_image([xy])[0]
-        if not np.isfinite(place).all():
+        position = self.to_image([xy])[0]
+        if not np.isfinite(position).all():
             return None
-        return {"place": place.tolist(), "ring": _finite(_ring(place, self.sigma([xy])[0])),
+        return {"place": position.tolist(), "ring": _finite(_ring(position, self.sigma([xy])[0])),
                 "sigma": _known(self.sigma([xy])[0])}
 
     def on_map(self, image: Sequence[float]) -> dict[str, Any] | None:
         """Return where a place of the image is on the map, likewise."""
-        place = self.to_map([image])[0]
-        if not np.isfinite(place).all():
+        position = self.to_map([image])[0]
+        if not np.isfinite(position).all():
             return None
-        sigma = self.sigma([place])[0]
+        sigma = self.sigma([position])[0]
         ring = _ring(np.asarray(image, dtype=np.float64), sigma)
-        return {"place": place.tolist(), "sigma": _known(sigma),
+        return {"place": position.tolist(), "sigma": _known(sigma),
                 "ring": _finite(self.to_map(ring)) if np.isfinite(ring).all() else []}
 
 
-def _ring(place: FloatArray, sigma: FloatArray) -> FloatArray:
+def _ring(centre: FloatArray, sigma: FloatArray) -> FloatArray:
+    # Errors of both axes are independent and normal: nine in ten lie within sqrt(2 ln 10) = 2.15
+    # standard deviations.
     radius = NINE_IN_TEN * sigma
     circle = np.column_stack([np.sin(_TURN), np.cos(_TURN)])
-    ring: FloatArray = place + radius * circle
+    ring: FloatArray = centre + radius * circle
     return ring
 
 

@@ -68,12 +68,13 @@ def judged(question: Question) -> Iterator[Answer]:
     """
     features = question.features
     base = {"serial": question.serial}
-    taken = [role != "off" for role in features.points.roles].count(True)
+    in_use = [role != "off" for role in features.points.roles].count(True)
     fewest = 1 if question.rpc is not None else FEWEST
-    if taken < fewest and not len(features.lines):
+    if in_use < fewest and not len(features.lines):
         yield {**base, "stage": "waiting",
-               "text": f"{fewest - taken} more {'point' if fewest - taken == 1 else 'points'}, and "
-                       "there is a first model."}
+               "text": f"{fewest - in_use} more "
+                       f"{'point' if fewest - in_use == 1 else 'points'}, and there is a first "
+                       "model."}
         return
     try:
         result = _run(question)
@@ -160,14 +161,15 @@ def metres_per_pixel(result: Result) -> float | None:
     ground = fit.control.ground_vertices()
     if not len(ground):
         return None
-    place = fit.project(ground).mean(axis=0)
+    middle = fit.project(ground).mean(axis=0)
     height = np.nan_to_num(np.nanmedian(ground[:, 2])) if np.isfinite(ground[:, 2]).any() else 0.0
-    corners = fit.locate(place + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), height)
-    sides = toolkit.in_metres(fit.control.crs, np.repeat(corners[:1], 2, axis=0),
+    corners = fit.locate(middle + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), height)
+    edges = toolkit.in_metres(fit.control.crs, np.repeat(corners[:1], 2, axis=0),
                       (corners[1:] - corners[0])[:, :2])
-    if sides is None or not np.isfinite(sides).all():
+    if edges is None or not np.isfinite(edges).all():
         return None
-    return float(np.sqrt(abs(np.linalg.det(sides))))
+    # The area of the parallelogram that the two edges of a pixel span.
+    return float(np.sqrt(abs(np.linalg.det(edges))))
 
 
 def errors(result: Result) -> dict[str, Answer]:
@@ -215,10 +217,10 @@ def chosen_lines(features: FeatureSet) -> Answer:
                              strategy="as-asked", **model)
     except TermselError as error:
         return {"text": f"OWDIS cannot choose among the lines: {error.what}.", "chosen": None}
-    chosen = [str(name) for name in result.selection.features]
+    selected = [str(name) for name in result.selection.features]
     count = len(features.lines)
-    return {"text": f"OWDIS uses {len(chosen)} of {count} lines; the others are drawn dashed."
-            if len(chosen) < count else f"OWDIS uses all {count} lines.", "chosen": chosen}
+    return {"text": f"OWDIS uses {len(selected)} of {count} lines; the others are drawn dashed."
+            if len(selected) < count else f"OWDIS uses all {count} lines.", "chosen": selected}
 
 
 def _next_places(result: Result) -> Answer:
@@ -226,14 +228,14 @@ def _next_places(result: Result) -> Answer:
     from termsel.toolkit.files import plan
 
     try:
-        places = plan(result.as_exported(), NEXT)
+        next_points = plan(result.as_exported(), NEXT)
     except TermselError as error:
         text = f"{error.what[:1].upper()}{error.what[1:]}."
         return {"next": [], "enough": {"text": text, "reached": False}}
     rows = [{"line": line, "sample": sample, "ground": [x, y, None if z != z else z],
-             "uncertainty": left}
-            for line, sample, x, y, z, left in places.values.tolist()]
-    before = places.sigma_before
+             "uncertainty": remaining}
+            for line, sample, x, y, z, remaining in next_points.values.tolist()]
+    before = next_points.sigma_before
     after = rows[0]["uncertainty"]
     gain = 1.0 - after / before if before else 0.0
     text = (f"One more point takes the mean uncertainty of the model from {before:.3g} to "
@@ -248,14 +250,15 @@ def uncertainty(result: Result) -> Answer | None:
     None where it is not known.
     """
     fit = result.exported
-    (top, left), (bottom, right) = fit.image_box()
-    lines = np.linspace(top, bottom, GRID)
-    samples = np.linspace(left, right, GRID)
+    (first_line, first_sample), (last_line, last_sample) = fit.image_box()
+    lines = np.linspace(first_line, last_line, GRID)
+    samples = np.linspace(first_sample, last_sample, GRID)
     image = np.stack(np.meshgrid(lines, samples, indexing="ij"), axis=-1).reshape(-1, 2)
     ground = fit.control.ground_vertices()
     height = np.nan_to_num(np.nanmedian(ground[:, 2])) if np.isfinite(ground[:, 2]).any() else 0.0
     sigma = np.hypot(*result.sigma(fit.locate(image, height)).T)
     if not np.isfinite(sigma).any():
         return None
-    return {"box": [float(top), float(left), float(bottom), float(right)], "side": GRID,
+    box = [float(first_line), float(first_sample), float(last_line), float(last_sample)]
+    return {"box": box, "side": GRID,
             "values": [None if value != value else round(value, 4) for value in sigma.tolist()]}

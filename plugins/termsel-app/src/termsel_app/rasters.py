@@ -97,10 +97,10 @@ class Raster:
             shape = (len(self.bands), min(self.height, _SAMPLES), min(self.width, _SAMPLES))
             windows = [(Window(0, 0, self.width, self.height), shape)]
         else:
-            side = _SAMPLES // 4
-            windows = [(Window(int(x), int(y), side, side), (len(self.bands), side, side))
-                       for y in np.linspace(0, self.height - side, 4)
-                       for x in np.linspace(0, self.width - side, 4)]
+            length = _SAMPLES // 4
+            windows = [(Window(int(x), int(y), length, length), (len(self.bands), length, length))
+                       for y in np.linspace(0, self.height - length, 4)
+                       for x in np.linspace(0, self.width - length, 4)]
         return [self.dataset.read(self.bands, window=window, out_shape=shape, masked=True)
                 .astype(np.float64).filled(np.nan).reshape(len(self.bands), -1)
                 for window, shape in windows]
@@ -134,8 +134,8 @@ class Raster:
         from rasterio.enums import Resampling
         from rasterio.windows import Window
 
-        top, left, height, width = box
-        window = Window(left, top, width, height)
+        first_line, first_sample, height, width = box
+        window = Window(first_sample, first_line, width, height)
         resampling = Resampling.average if average and self.colours is None \
             else Resampling.nearest
         with self.lock:
@@ -192,30 +192,34 @@ class Raster:
         shape : tuple of int
             Lines and samples to return.
         """
-        top, left, height, width = box
+        first_line, first_sample, height, width = box
         steps = np.array([height / shape[0], width / shape[1]])
         result = np.zeros((*shape, 4), dtype=np.uint8)
-        first, last = [], []
-        for start, step, count, size in zip((top, left), steps, shape, (self.height, self.width),
-                                            strict=True):
+        first = []
+        last = []
+        # Pixels of the answer whose centres are inside the raster, along either axis.
+        for start, step, count, size in zip((first_line, first_sample), steps, shape,
+                                            (self.height, self.width), strict=True):
             first.append(max(int(np.ceil(-start / step - 0.5)), 0))
             last.append(min(int(np.floor((size - start) / step + 0.5)), count))
         if first[0] >= last[0] or first[1] >= last[1]:
             return result
-        part = (slice(first[0], last[0]), slice(first[1], last[1]))
+        visible = (slice(first[0], last[0]), slice(first[1], last[1]))
         overview = self._overview
+        # An overview in memory answers at once: the nearest of its pixels to each centre.
         if overview is not None and steps.min() >= self._step:
             centres = [np.clip((start + (np.arange(low, high) + 0.5) * step) / self._step, 0,
                                count - 1).astype(np.intp)
                        for start, low, high, step, count in zip(
-                           (top, left), first, last, steps, overview.shape[:2], strict=True)]
-            result[part] = overview[np.ix_(*centres)]
+                           (first_line, first_sample), first, last, steps, overview.shape[:2],
+                           strict=True)]
+            result[visible] = overview[np.ix_(*centres)]
             return result
-        inside = (np.clip(top + first[0] * steps[0], 0, self.height),
-                  np.clip(left + first[1] * steps[1], 0, self.width))
+        inside = (np.clip(first_line + first[0] * steps[0], 0, self.height),
+                  np.clip(first_sample + first[1] * steps[1], 0, self.width))
         inner = (min((last[0] - first[0]) * steps[0], self.height - inside[0]),
                  min((last[1] - first[1]) * steps[1], self.width - inside[1]))
-        result[part] = self._read((*inside, *inner), (last[0] - first[0], last[1] - first[1]),
+        result[visible] = self._read((*inside, *inner), (last[0] - first[0], last[1] - first[1]),
                                   average=bool(1 < steps.max() <= 16
                                                or self.dataset.overviews(1)))
         return result
@@ -243,8 +247,8 @@ def _bands(dataset: Any, indexed: bool) -> list[int]:
     colours = (ColorInterp.red, ColorInterp.green, ColorInterp.blue)
     if all(colour in kinds for colour in colours):
         return [kinds.index(colour) + 1 for colour in colours]
-    shown = [i + 1 for i, kind in enumerate(kinds) if kind != ColorInterp.alpha] or [1]
-    return shown[:3] if len(shown) >= 3 else shown[:1]
+    visible = [i + 1 for i, kind in enumerate(kinds) if kind != ColorInterp.alpha] or [1]
+    return visible[:3] if len(visible) >= 3 else visible[:1]
 
 
 def _alpha(dataset: Any) -> int | None:

@@ -128,9 +128,9 @@ class Guarded(RequestHandler):
         """The session."""
         return self.pages.session
 
-    async def apart(self, task: Callable[..., Any], *given: Any) -> Any:
+    async def apart(self, task: Callable[..., Any], *arguments: Any) -> Any:
         """Do something in a thread, so that the page stays usable."""
-        return await IOLoop.current().run_in_executor(self.pages.threads, task, *given)
+        return await IOLoop.current().run_in_executor(self.pages.threads, task, *arguments)
 
 
 def is_allowed(handler: RequestHandler, expected: str | None = None) -> bool:
@@ -172,8 +172,8 @@ class Page(Guarded):
 
 def _origin(address: str) -> str:
     """Return the scheme and server of an address of tiles."""
-    scheme, _, rest = address.partition("://")
-    return f"{scheme}://{rest.partition('/')[0].replace('{s}', '*').replace(';', '')}"
+    scheme, _, path = address.partition("://")
+    return f"{scheme}://{path.partition('/')[0].replace('{s}', '*').replace(';', '')}"
 
 
 class State(Guarded):
@@ -258,13 +258,13 @@ class Call(Guarded):
         if task is None:
             raise HTTPError(404)
         try:
-            given = json.loads(self.request.body)
+            arguments = json.loads(self.request.body)
         except (ValueError, RecursionError) as error:
             raise HTTPError(400) from error
-        if not isinstance(given, dict):
+        if not isinstance(arguments, dict):
             raise HTTPError(400)
         try:
-            answer = await self.apart(task, self.session, self.pages, given)
+            answer = await self.apart(task, self.session, self.pages, arguments)
         except TermselError as error:
             self.set_status(422)
             self.finish({"error": f"{error.what}.", "hint": error.hint or "",
@@ -273,22 +273,22 @@ class Call(Guarded):
         self.finish(answer or {})
 
 
-def _text(given: dict[str, Any], key: str) -> str:
-    value = given.get(key)
+def _text(arguments: dict[str, Any], key: str) -> str:
+    value = arguments.get(key)
     if not isinstance(value, str):
         raise TermselError(f"{key} is no text")
     return value
 
 
-def _names(given: dict[str, Any]) -> list[str]:
-    value = given.get("ids")
+def _names(arguments: dict[str, Any]) -> list[str]:
+    value = arguments.get("ids")
     if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
         raise TermselError("ids are no list of names")
     return value
 
 
-def _box(given: dict[str, Any]) -> tuple[float, float, float, float]:
-    box = given.get("box")
+def _box(arguments: dict[str, Any]) -> tuple[float, float, float, float]:
+    box = arguments.get("box")
     if not isinstance(box, list):
         raise TermselError("box is no list of coordinates")
     low, high = checked_places([box[:2], box[2:]])
@@ -296,23 +296,24 @@ def _box(given: dict[str, Any]) -> tuple[float, float, float, float]:
 
 
 CALLS: dict[str, Callable[[Session, Pages, dict[str, Any]], dict[str, Any] | None]] = {
-    "put": lambda session, _, given: {"id": session.put(given)},
-    "delete": lambda session, _, given: session.delete(_names(given)),
+    "put": lambda session, _, arguments: {"id": session.put(arguments)},
+    "delete": lambda session, _, arguments: session.delete(_names(arguments)),
     "undo": lambda session, _, __: session.undo(),
     "redo": lambda session, _, __: session.redo(),
-    "paste": lambda session, _, given: {"count": session.paste(_text(given, "text"))},
-    "add": lambda session, _, given: {"count": session.add(given.get("points"))},
-    "predict": lambda session, _, given: {"prediction": session.predict(
-        given.get("image"), given.get("map"))},
-    "ground": lambda session, _, given: {"ground": session.ground_of(
-        checked_places([given.get("map")]))[0]},
-    "graticule": lambda session, _, given: drawn_graticule(session, _box(given)),
+    "paste": lambda session, _, arguments: {"count": session.paste(_text(arguments, "text"))},
+    "add": lambda session, _, arguments: {"count": session.add(arguments.get("points"))},
+    "predict": lambda session, _, arguments: {"prediction": session.predict(
+        arguments.get("image"), arguments.get("map"))},
+    "ground": lambda session, _, arguments: {"ground": session.ground_of(
+        checked_places([arguments.get("map")]))[0]},
+    "graticule": lambda session, _, arguments: drawn_graticule(session, _box(arguments)),
     "vectors": lambda session, _, __: drawn_vectors(session),
-    "refine": lambda session, _, given: refined_place(session, _text(given, "id")),
+    "refine": lambda session, _, arguments: refined_place(session, _text(arguments, "id")),
     "more": lambda session, _, __: {"proposals": more_points(session)},
     "command": lambda session, _, __: {"command": command_line(session)},
-    "save": lambda session, _, given: {"files": [
-        str(path) for path in save(session, _text(given, "name"), given.get("image_id"))]},
+    "save": lambda session, _, arguments: {"files": [
+        str(path) for path in save(session, _text(arguments, "name"),
+                                   arguments.get("image_id"))]},
 }
 """What a page may ask for, by name."""
 
@@ -378,13 +379,13 @@ async def _serve(session: Session, port: int, started: Callable[[str, str], None
         raise TermselError(f"port {port} cannot be had: {error.strerror}",
                            hint="Choose another --port, or leave it out.") from error
     pages = Pages(session, sockets[0].getsockname()[1])
-    given = {"pages": pages}
+    settings = {"pages": pages}
     application = Application([
-        (r"/([^/]*)/state", State, given),
+        (r"/([^/]*)/state", State, settings),
         (r"/([^/]*)/tile/(image|warped|map\d{1,3})/(\d{1,2})/(-?\d{1,8})/(-?\d{1,8})\.png", Tile,
-         given),
-        (r"/([^/]*)/call/([a-z]+)", Call, given), (r"/([^/]*)/events", Events, given),
-        (r"/([^/]*)/(.*)", Page, given), (r"/([^/]*)", First, given)],
+         settings),
+        (r"/([^/]*)/call/([a-z]+)", Call, settings), (r"/([^/]*)/events", Events, settings),
+        (r"/([^/]*)/(.*)", Page, settings), (r"/([^/]*)", First, settings)],
         log_function=lambda _: None, websocket_ping_interval=20)
     server = HTTPServer(application, max_body_size=LARGEST_BODY)
     server.add_sockets(sockets)

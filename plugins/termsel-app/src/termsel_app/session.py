@@ -142,10 +142,11 @@ class Session:
         boxes = []
         if self.maps.box is not None:
             boxes.append(self.maps.box)
-        places = [place for record in self.control.records.values()
-                  for place in _ground_places(record)]
-        if places:
-            boxes.append(box_of(self.places.to_map(places)))
+        positions: list[Any] = []
+        for record in self.control.records.values():
+            positions += _ground_places(record)
+        if positions:
+            boxes.append(box_of(self.places.to_map(positions)))
         if not boxes and self.prediction is not None and self.size is not None:
             lines, samples = self.size
             boxes.append(box_of(self.prediction.to_map(
@@ -189,12 +190,12 @@ class Session:
             self._journal_or(self.control.undo, {"redo": True})
             self._changed()
 
-    def _journal_or(self, back: Callable[[], Any], entry: dict[str, Any]) -> None:
+    def _journal_or(self, revert: Callable[[], Any], entry: dict[str, Any]) -> None:
         """Append an entry, or go back where that fails."""
         try:
             self.journal.append(entry)
         except TermselError:
-            back()
+            revert()
             raise
 
     def _changed(self) -> None:
@@ -226,6 +227,7 @@ class Session:
 
     def answered(self, answer: Answer) -> None:
         """Keep an answer of the worker, and tell the pages."""
+        # Answers to earlier questions are of points that have moved since.
         with self.lock:
             if answer["serial"] not in (self.asked, -1):
                 return
@@ -233,8 +235,8 @@ class Session:
             if result is not None:
                 self.prediction = prediction_of(
                     result, self.control.features(self.places.crs), self.places)
-            for place in answer.get("next", ()):
-                place["map"] = self.places.to_map([place["ground"][:2]])[0].tolist()
+            for next_point in answer.get("next", ()):
+                next_point["map"] = self.places.to_map([next_point["ground"][:2]])[0].tolist()
             if answer["stage"] in ("figures", "waiting", "refused"):
                 self.answers.clear()
             self.answers[answer["stage"]] = answer
@@ -249,11 +251,11 @@ class Session:
 
     def _shown(self, record: Record) -> Record:
         """Return a record with where its ground places are on the map."""
-        places = _ground_places(record)
-        shown = self.places.to_map(places).tolist() if places else None
-        if record["kind"] == "point" and shown:
-            shown = shown[0]
-        return {**record, "map": shown}
+        positions = _ground_places(record)
+        on_map = self.places.to_map(positions).tolist() if positions else None
+        if record["kind"] == "point" and on_map:
+            on_map = on_map[0]
+        return {**record, "map": on_map}
 
     # What a page asks for
 
@@ -265,31 +267,31 @@ class Session:
                                hint="Choose a position within its area.")
         return [[x, y, None if z != z else z] for x, y, z in ground.tolist()]
 
-    def put(self, given: Mapping[str, Any]) -> str:
+    def put(self, values: Mapping[str, Any]) -> str:
         """Add or change a feature; return its name.
 
-        `given` has the id of a feature that is there, or a kind for a new one, and what to set:
+        `values` has the id of a feature that is there, or a kind for a new one, and what to set:
         `image`, `map` or `ground`, `role`, `name`.
         """
         with self.lock:
-            name = given.get("id")
+            name = values.get("id")
             before = self.control.records.get(name) if isinstance(name, str) else None
             if before is None and name is not None:
                 raise TermselError(f"there is no feature {name!r} any more", ids=[str(name)])
-            kind = given.get("kind", "point") if before is None else before["kind"]
+            kind = values.get("kind", "point") if before is None else before["kind"]
             after: Record = dict(before) if before else {
                 "id": self.control.new_id(kind), "kind": kind, "role": "", "image": None,
                 "ground": None}
-            after.update({key: given[key] for key in ("image", "ground", "role") if key in given})
-            if given.get("map") is not None:
-                places = given["map"] if kind == "line" else [given["map"]]
-                ground = self.ground_of(checked_places(places))
+            after.update({key: values[key] for key in ("image", "ground", "role") if key in values})
+            if values.get("map") is not None:
+                positions = values["map"] if kind == "line" else [values["map"]]
+                ground = self.ground_of(checked_places(positions))
                 after["ground"] = ground if kind == "line" else ground[0]
-            if "name" in given:
-                after["id"] = given["name"]
+            if "name" in values:
+                after["id"] = values["name"]
             after = checked(after)
             if after.get("ground") and kind == "point" and after["ground"][2] is None \
-                    and given.get("ground") is not None:
+                    and values.get("ground") is not None:
                 after["ground"] = self._with_height(after["ground"])
             if after != before:
                 self.change([Patch(before, after)])
@@ -306,14 +308,15 @@ class Session:
             if records:
                 self.change([Patch(record, None) for record in records])
 
-    def add(self, given: Any) -> int:
+    def add(self, points_given: Any) -> int:
         """Add points with both places, as one change; return how many."""
-        if not isinstance(given, list) or not all(isinstance(point, dict) for point in given):
+        if not isinstance(points_given, list) or not all(
+                isinstance(point, dict) for point in points_given):
             raise TermselError("these are no points")
         with self.lock:
             patches = []
             number = int(self.control.new_id("point")[1:])
-            for i, point in enumerate(given):
+            for i, point in enumerate(points_given):
                 ground = self.ground_of(checked_places([point.get("map")]))[0]
                 patches.append(Patch(None, checked({
                     "id": f"P{number + i:02d}", "kind": "point", "role": "",
@@ -337,8 +340,8 @@ class Session:
                 record["id"] = record["id"] or f"{self.control.new_id('point')}-{number + 1}"
                 before = self.control.records.get(record["id"])
                 after = dict(before) if before else {**record, "role": record["role"]}
-                for side in ("image", "ground"):
-                    after[side] = record[side] or after[side]
+                for space in ("image", "ground"):
+                    after[space] = record[space] or after[space]
                 if after["ground"] and after["ground"][2] is None:
                     after["ground"] = self._with_height(after["ground"])
                 patches.append(Patch(before, checked(after)))
@@ -361,23 +364,23 @@ class Session:
         return prediction.in_image(checked_places([xy])[0])
 
 
-def checked_places(places: Any) -> list[list[float]]:
+def checked_places(positions: Any) -> list[list[float]]:
     """Return pairs of finite numbers that came from a page."""
-    if not isinstance(places, list) or not 1 <= len(places) <= 2:
+    if not isinstance(positions, list) or not 1 <= len(positions) <= 2:
         raise TermselError("these are no positions")
-    for place in places:
-        if not isinstance(place, list) or len(place) != 2 or not all(
-                isinstance(value, int | float) and abs(value) < LARGEST for value in place):
+    for position in positions:
+        if not isinstance(position, list) or len(position) != 2 or not all(
+                isinstance(value, int | float) and abs(value) < LARGEST for value in position):
             raise TermselError("a position has two finite coordinates")
-    return places
+    return positions
 
 
 def _ground_places(record: Record) -> list[list[float]]:
     """Return x and y of all ground places of a feature."""
     if not record["ground"]:
         return []
-    places = [record["ground"]] if record["kind"] == "point" else record["ground"]
-    return [place[:2] for place in places]
+    positions = [record["ground"]] if record["kind"] == "point" else record["ground"]
+    return [position[:2] for position in positions]
 
 
 _NAMES = ("id", "role", "line", "sample", "x", "y", "z")
@@ -449,8 +452,8 @@ def open_session(files: Files, folder: Path, *, remote: bool = False,
         worker = Worker(remote, drivers)  # it loads termsel while files are opened
         stack.callback(worker.close)
         journal, header, control = stack.enter_context(open_journal(folder))
-        kept = None if header is None else Files.of_header(header, folder)
-        _require_same(files, kept, folder)
+        before = None if header is None else Files.of_header(header, folder)
+        _require_same(files, before, folder)
         served = None
         image = None
         if files.image is not None and is_iiif(files.image):
@@ -461,20 +464,20 @@ def open_session(files: Files, folder: Path, *, remote: bool = False,
         if image is not None:
             stack.callback(image.close)
         features = None
-        if kept is None and (files.points or files.lines):
+        if before is None and (files.points or files.lines):
             features = termsel.read(files.points, files.lines, crs=files.crs)
-        crs = _crs(files, features, kept)
+        crs = _crs(files, features, before)
         maps = open_maps(files.maps, crs, remote)
         stack.callback(maps.close)
         crs = crs or _crs_of_maps(maps)
         if not (maps.rasters or maps.vectors or maps.tiles):
             maps.shown = shown_crs(horizontal(crs) or LOCAL)
-        places = Places(crs, maps.shown, None if files.dem is None else Path(files.dem))
-        stack.callback(places.close)
-        if kept is None:
+        session_places = Places(crs, maps.shown, None if files.dem is None else Path(files.dem))
+        stack.callback(session_places.close)
+        if before is None:
             journal.begin(replace(files, crs=crs).header(folder))
-        session = Session(replace(files, crs=crs), folder, journal, control, image, maps, places,
-                          list(maps.notes), served)
+        session = Session(replace(files, crs=crs), folder, journal, control, image, maps,
+                          places=session_places, notes=list(maps.notes), served=served)
         if features is not None:
             session.change([Patch(None, record) for record in records_of(features)])
         worker.tell = session.answered
@@ -499,13 +502,13 @@ def _remove_empty(folder: Path) -> None:
         folder.rmdir()
 
 
-def _require_same(files: Files, kept: Files | None, folder: Path) -> None:
+def _require_same(files: Files, before: Files | None, folder: Path) -> None:
     """Refuse to go on with a session of another image."""
-    if kept is None or files.image is None or kept.image is None:
+    if before is None or files.image is None or before.image is None:
         return
-    if files.image != kept.image and \
-            Path(files.image).absolute() != Path(kept.image).absolute():
-        raise TermselError(f"the session in this folder is of another image, {kept.image}",
+    if files.image != before.image and \
+            Path(files.image).absolute() != Path(before.image).absolute():
+        raise TermselError(f"the session in this folder is of another image, {before.image}",
                            file=folder, hint="Choose another --out for this image.")
 
 
@@ -516,11 +519,11 @@ def records_of(features: FeatureSet) -> list[Record]:
                 "ground": _with_none(ground)}
                for name, role, image, ground in zip(points.ids, points.roles, points.image.tolist(),
                                                     points.ground.tolist(), strict=True)]
-    seen: dict[str, int] = {}
+    counts: dict[str, int] = {}
     for name, image, ground in zip(features.lines.ids, features.lines.image.tolist(),
                                    features.lines.ground.tolist(), strict=True):
-        seen[name] = seen.get(name, 0) + 1
-        label = name if seen[name] == 1 else f"{name}.{seen[name]}"
+        counts[name] = counts.get(name, 0) + 1
+        label = name if counts[name] == 1 else f"{name}.{counts[name]}"
         records.append({"id": label, "kind": "line", "role": "", "image": image,
                         "ground": [_with_none(vertex) for vertex in ground]})
     return [checked(record) for record in records]

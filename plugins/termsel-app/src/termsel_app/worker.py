@@ -84,14 +84,15 @@ class Worker:
 
     def _begin(self) -> None:
         context = multiprocessing.get_context("spawn")
-        here, there = context.Pipe()
+        # A new process, since a fit in a thread would let the page wait for the interpreter.
+        own_end, their_end = context.Pipe()
         with safe_start():
-            self._process = context.Process(target=answer_all, args=(there, *self._given),
+            self._process = context.Process(target=answer_all, args=(their_end, *self._given),
                                             daemon=True)
             self._process.start()
-        there.close()
-        self._pipe = here
-        Thread(target=self._listen, args=(here,), daemon=True).start()
+        their_end.close()
+        self._pipe = own_end
+        Thread(target=self._listen, args=(own_end,), daemon=True).start()
 
     def _listen(self, pipe: Connection) -> None:
         while True:

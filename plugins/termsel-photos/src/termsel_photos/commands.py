@@ -43,13 +43,14 @@ def map_series(sheets: tuple[Path, ...], crs: str, prime_meridian: str | None,
     read_sheets = [read(sheet, crs=crs, **meridian) for sheet in sheets]
     projections = candidates_of(read_sheets, None if candidates is None else str(candidates),
                                 century)
-    tried = tried_projections(read_sheets, projections)
-    chosen = chosen_of(tried, projections)
+    ranked = tried_projections(read_sheets, projections)
+    best = chosen_of(ranked, projections)
     print_table(("projection", "predicted px", "CRS"),
-                [(one.name, f"{one.rmse:.3g}", one.crs) for one in tried])
-    echo(f"\nChosen for {len(sheets)} sheets: {chosen.name}. --set projection='{chosen.crs}'")
+                [(projection.name, f"{projection.rmse:.3g}", projection.crs)
+                 for projection in ranked])
+    echo(f"\nChosen for {len(sheets)} sheets: {best.name}. --set projection='{best.crs}'")
     if output is not None:
-        write_text(output, f"{chosen.crs}\n")
+        write_text(output, f"{best.crs}\n")
         say_written([output])
 
 

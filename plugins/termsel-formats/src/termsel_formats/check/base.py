@@ -54,9 +54,10 @@ def installed(name: str) -> str | None:
 
     One in the current folder, which may have come with data, is none: Windows looks there first.
     """
-    place = shutil.which(name)
-    return place if place is not None and os.path.isabs(place) and not os.path.samefile(
-        os.path.dirname(place), os.curdir) else None
+    path = shutil.which(name)
+    if path is None or not os.path.isabs(path):
+        return None
+    return None if os.path.samefile(os.path.dirname(path), os.curdir) else path
 
 
 def answer(command: Sequence[str], text: str = "",
@@ -78,6 +79,6 @@ def answer(command: Sequence[str], text: str = "",
     except OSError as error:
         raise NoAnswer(f"{Path(command[0]).name} cannot be started: {error.strerror}") from error
     if done.returncode:
-        said = (done.stderr or done.stdout).strip().splitlines()
-        raise NoAnswer(f"{Path(command[0]).name}: {said[-1] if said else 'failed'}")
+        messages = (done.stderr or done.stdout).strip().splitlines()
+        raise NoAnswer(f"{Path(command[0]).name}: {messages[-1] if messages else 'failed'}")
     return done.stdout

@@ -59,47 +59,52 @@ def check(file: Path, folder: Path | None, as_json: bool, final: bool | None) ->
                                hint="Leave the options out.")
         sys.exit(main([str(file)]))
     result = None if folder is None else read_result(folder)
-    found, answers = compared(file, result, final=final)
+    deviations, answers = compared(file, result, final=final)
     if as_json:
-        print_json({"programs": [asdict(one) for one in found], "absent": list(answers.absent),
-                    "failed": list(answers.failed)})
+        print_json({"programs": [asdict(deviation) for deviation in deviations],
+                    "absent": list(answers.absent), "failed": list(answers.failed)})
         return
     if result is None:
-        print_table(("program", "takes"), [(one.program, one.transformation) for one in found])
+        print_table(("program", "takes"), [(deviation.program, deviation.transformation)
+                                           for deviation in deviations])
         echo("Give --result DIR, the folder of a run, to learn how far that is from its model.")
     else:
         print_table(("program", "takes", "points [px]", "image [px]", "image [m]"),
-                    [_row(one) for one in found])
-        for one in found:
-            _warn(one)
+                    [_row(deviation) for deviation in deviations])
+        for deviation in deviations:
+            _warn(deviation)
     for name in answers.absent:
         echo(f"Not tested: {name}, which is not installed.")
-    for said in answers.failed:
-        echo(f"No answer: {said}.")
+    for message in answers.failed:
+        echo(f"No answer: {message}.")
 
 
-def _row(one: Deviation) -> tuple[str, ...]:
-    metres = one.over_image.metres if one.over_image else None
-    return (one.program, one.said or one.transformation, _largest(one.at_points),
-            _largest(one.over_image), "" if metres is None else f"{metres:,.3g}")
+def _row(deviation: Deviation) -> tuple[str, ...]:
+    metres = deviation.over_image.metres if deviation.over_image else None
+    return (deviation.program, deviation.said or deviation.transformation,
+            _largest(deviation.at_points), _largest(deviation.over_image),
+            "" if metres is None else f"{metres:,.3g}")
 
 
-def _largest(apart: Apart | None) -> str:
-    return "" if apart is None else f"{apart.largest:,.3g}"
+def _largest(distances: Apart | None) -> str:
+    return "" if distances is None else f"{distances.largest:,.3g}"
 
 
-def _warn(one: Deviation) -> None:
+def _warn(deviation: Deviation) -> None:
     """Say so where a program takes by default what is not the model."""
-    worst = max((apart for apart in (one.at_points, one.over_image) if apart is not None),
-                key=lambda apart: apart.largest, default=None)
-    if not one.by_default:
+    compared_distances = [distances for distances in (deviation.at_points, deviation.over_image)
+                          if distances is not None]
+    worst = max(compared_distances, key=lambda distances: distances.largest, default=None)
+    if not deviation.by_default:
         return
     if worst is None:
-        echo(f"Warning: {one.program.strip()} takes {one.said or one.transformation}.")
+        echo(f"Warning: {deviation.program.strip()} takes "
+             f"{deviation.said or deviation.transformation}.")
         return
     if worst.largest > CLOSE:
         metres = "" if worst.metres is None else f" ({worst.metres:,.3g} m)"
-        echo(f"Warning: {one.program} is up to {worst.largest:,.3g} px{metres} off the model, near "
-             f"line {worst.line:,.1f}, sample {worst.sample:,.1f}: {one.transformation}.")
+        echo(f"Warning: {deviation.program} is up to {worst.largest:,.3g} px{metres} off the "
+             "model, near "
+             f"line {worst.line:,.1f}, sample {worst.sample:,.1f}: {deviation.transformation}.")
     if worst.lacking:
-        echo(f"Note: {one.program} has no place for {worst.lacking} of the places asked for.")
+        echo(f"Note: {deviation.program} has no place for {worst.lacking} of the places asked for.")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -98,64 +98,64 @@ def compared(path: Path | str, result: Result | None = None, *, final: bool | No
     with raster_of(Path(path), result) as raster:
         answers = taken_by(raster)
         if result is None:
-            return tuple(Deviation(one.program, one.transformation, one.crs, one.by_default)
-                         for one in answers.taken), answers
+            return tuple(Deviation(answer.program, answer.transformation, answer.crs,
+                                   answer.by_default) for answer in answers.taken), answers
         size = size_of(raster)
-        known = result.features.image_size
-        if known is not None and tuple(known) != size:
+        size_of_result = result.features.image_size
+        if size_of_result is not None and tuple(size_of_result) != size:
             raise TermselError(
                 f"this raster has {size[0]} lines and {size[1]} samples, and the image of the "
-                f"result {known[0]} and {known[1]}", file=Path(path),
+                f"result {size_of_result[0]} and {size_of_result[1]}", file=Path(path),
                 hint="Give the image or an export of it; a map has different pixels.")
-        return tuple(_of(one, result, size) for one in answers.taken), answers
+        return tuple(_of(answer, result, size) for answer in answers.taken), answers
 
 
-def _of(taken: Taken, result: Result, size: tuple[int, int]) -> Deviation:
+def _of(answer: Taken, result: Result, size: tuple[int, int]) -> Deviation:
     """Return the deviation of what a program takes."""
-    known = Deviation(taken.program, taken.transformation, taken.crs, taken.by_default)
-    if taken.places is None:
-        return known
+    deviation = Deviation(answer.program, answer.transformation, answer.crs, answer.by_default)
+    if answer.places is None:
+        return deviation
     points = result.features.points.ground
     points = points[np.isfinite(points[:, :2]).all(axis=1)]
     share = np.linspace(0.0, 1.0, _ACROSS)
     inside = np.stack(np.meshgrid(share, share, indexing="ij"), axis=-1).reshape(-1, 2)
+    # A lattice of pixels, counted from centres, and the outer border of the image.
     image = np.concatenate([inside * size - 0.5, outline(size)])
     level = float(result.fit.ground_box()[0][2])
     try:
-        of_points = _apart(taken, result, result.project(points), points, level) \
+        of_points = _apart(answer, result, result.project(points), points, level) \
             if len(points) else None
-        of_image = _apart(taken, result, image, result.locate(image, level), level)
+        of_image = _apart(answer, result, image, result.locate(image, level), level)
     except (NoAnswer, TermselError) as error:
-        return Deviation(known.program, known.transformation, known.crs, known.by_default,
-                         said=error.what)
-    return Deviation(known.program, known.transformation, known.crs, known.by_default, of_points,
-                     of_image)
+        return replace(deviation, said=error.what)
+    return replace(deviation, at_points=of_points, over_image=of_image)
 
 
-def _apart(taken: Taken, result: Result, image: FloatArray, ground: FloatArray, level: float,
+def _apart(answer: Taken, result: Result, image: FloatArray, ground: FloatArray, level: float,
            ) -> Apart | None:
     """Return how far from ground (n, 3) a program puts image places (n, 2); None if nowhere."""
-    assert taken.places is not None
+    assert answer.places is not None
     sound = np.isfinite(image).all(axis=1) & np.isfinite(ground[:, :2]).all(axis=1)
     image = image[sound]
     ground = ground[sound].copy()
     ground[:, 2] = np.where(np.isnan(ground[:, 2]), level, ground[:, 2])
-    own = result.features.crs
+    crs = result.features.crs
     # RPCs count heights from the ellipsoid.
-    heights = transformation(own, "EPSG:4979")(ground)[:, 2] \
-        if own != LOCAL and body_of(own) == EARTH else ground[:, 2]
-    xy = taken.places(image, heights)
-    if taken.crs and own != LOCAL:
-        xy = transformation(horizontal(taken.crs), horizontal(own), strict=False)(
+    heights = transformation(crs, "EPSG:4979")(ground)[:, 2] \
+        if crs != LOCAL and body_of(crs) == EARTH else ground[:, 2]
+    xy = answer.places(image, heights)
+    if answer.crs and crs != LOCAL:
+        xy = transformation(horizontal(answer.crs), horizontal(crs), strict=False)(
             np.column_stack([xy, np.zeros(len(xy))]))[:, :2]
-    there = np.column_stack([xy, ground[:, 2]])
-    pixels = np.linalg.norm(result.project(there) - image, axis=1)
-    known = np.isfinite(pixels)
-    if not known.any():
+    reached = np.column_stack([xy, ground[:, 2]])
+    # In pixels: where the model sees the place to which the program puts the pixel.
+    pixels = np.linalg.norm(result.project(reached) - image, axis=1)
+    comparable = np.isfinite(pixels)
+    if not comparable.any():
         return None
-    worst = int(np.argmax(np.where(known, pixels, -1.0)))
-    metres = in_metres(own, ground[known], (there - ground)[known, :2])
+    worst = int(np.argmax(np.where(comparable, pixels, -1.0)))
+    metres = in_metres(crs, ground[comparable], (reached - ground)[comparable, :2])
     line, sample = image[worst].tolist()
-    return Apart(float(np.sqrt((pixels[known] ** 2).mean())), float(pixels[worst]),
+    return Apart(float(np.sqrt((pixels[comparable] ** 2).mean())), float(pixels[worst]),
                  None if metres is None else float(np.hypot(*metres.T).max()), line, sample,
-                 int((~known).sum()))
+                 int((~comparable).sum()))

@@ -60,28 +60,29 @@ def header(path: Path) -> Header | None:
     if program is None or installed("gdaltransform") is None:
         return None
     version = answer([program, "--version"]).partition(",")[0]
-    said: dict[str, Any] = json.loads(answer(
+    description: dict[str, Any] = json.loads(answer(
         [program, "-json", "-mdd", "RPC", "-mdd", "GEOLOCATION", "-norat", "-noct",
          str(path.absolute())]))
-    samples, lines = said["size"]
-    crs = said.get("coordinateSystem", {}).get("wkt", "")
-    metadata = said.get("metadata", {})
+    samples, lines = description["size"]
+    crs = description.get("coordinateSystem", {}).get("wkt", "")
+    metadata = description.get("metadata", {})
     kind = ""
     # The order in which GDAL's transformer looks for them.
-    if "geoTransform" in said:
+    if "geoTransform" in description:
         kind = "geotransform"
-    elif "gcps" in said:
+    elif "gcps" in description:
         kind = "gcps"
-        crs = said["gcps"].get("coordinateSystem", {}).get("wkt", "")
+        crs = description["gcps"].get("coordinateSystem", {}).get("wkt", "")
     elif "RPC" in metadata:
         kind = "rpc"
         crs = WGS84
     elif "GEOLOCATION" in metadata:
         kind = "geolocation"
         crs = metadata["GEOLOCATION"].get("SRS", crs)
-    given = said.get("geoTransform")
+    geotransform = description.get("geoTransform")
     height = _number(metadata.get("RPC", {}).get("HEIGHT_OFF", "")) if kind == "rpc" else None
-    return Header(version, (lines, samples), crs, kind, tuple(given) if given else None, height)
+    return Header(version, (lines, samples), crs, kind,
+                  tuple(geotransform) if geotransform else None, height)
 
 
 def transformed(path: Path, *options: str) -> Places:
@@ -92,11 +93,11 @@ def transformed(path: Path, *options: str) -> Places:
         # GDAL counts pixels from the corner of the first one.
         rows = (f"{sample + 0.5!r} {line + 0.5!r} {height!r}" for (line, sample), height
                 in zip(image.tolist(), heights.tolist(), strict=True))
-        said = answer([program, *options, str(path.absolute())], "\n".join(rows) + "\n")
-        found = [_pair(row) for row in said.splitlines()]
-        if len(found) != len(image):
-            raise NoAnswer(f"gdaltransform answered {len(found)} of {len(image)} places")
-        return np.array(found)
+        text = answer([program, *options, str(path.absolute())], "\n".join(rows) + "\n")
+        pairs = [_pair(row) for row in text.splitlines()]
+        if len(pairs) != len(image):
+            raise NoAnswer(f"gdaltransform answered {len(pairs)} of {len(image)} places")
+        return np.array(pairs)
 
     return places
 
@@ -118,63 +119,70 @@ def _number(text: str) -> float | None:
         return None
 
 
-def level(places: Places, height: float = 0.0) -> Places:
+def level(transform: Places, height: float = 0.0) -> Places:
     """Return places at one height, whatever the heights."""
-    return lambda image, _heights: places(image, np.full(len(image), height))
+    return lambda image, _heights: transform(image, np.full(len(image), height))
 
 
-def taken(path: Path, found: Header) -> Iterator[Taken]:
+def taken(path: Path, raster_header: Header) -> Iterator[Taken]:
     """Yield what GDAL takes by default, then what it takes with options of gdalwarp."""
-    program = found.version
-    places = transformed(path)
-    if not found.kind:
+    program = raster_header.version
+    transform = transformed(path)
+    if not raster_header.kind:
         yield Taken(program, "none: no georeferencing")
-    elif found.kind == "geotransform":
-        yield Taken(program, "affine transformation", found.crs, places)
-    elif found.kind == "geolocation":
-        yield Taken(program, "geolocation array", found.crs, places)
-    elif found.kind == "rpc":
-        yield Taken(program, "RPC at the height 0", WGS84, level(places))
-        yield Taken("  with -to RPC_DEM", "RPC at the heights of the ground", WGS84, places, False)
+    elif raster_header.kind == "geotransform":
+        yield Taken(program, "affine transformation", raster_header.crs, transform)
+    elif raster_header.kind == "geolocation":
+        yield Taken(program, "geolocation array", raster_header.crs, transform)
+    elif raster_header.kind == "rpc":
+        yield Taken(program, "RPC at the height 0", WGS84, level(transform))
+        yield Taken("  with -to RPC_DEM", "RPC at the heights of the ground", WGS84, transform,
+                    False)
     else:
-        others = dict(_possible(path, found))
-        yield Taken(program, _alike(level(places), others, found.size), found.crs, level(places))
-        for words, (options, other) in others.items():
-            yield Taken(f"  with {' '.join(options)}", words, found.crs, other, False)
+        with_options = dict(_possible(path, raster_header))
+        default = level(transform)
+        yield Taken(program, _alike(default, with_options, raster_header.size), raster_header.crs,
+                    default)
+        for words, (options, by_option) in with_options.items():
+            yield Taken(f"  with {' '.join(options)}", words, raster_header.crs, by_option, False)
 
 
-def _possible(path: Path, found: Header) -> Iterator[tuple[str, tuple[tuple[str, ...], Places]]]:
+def _possible(path: Path, raster_header: Header,
+              ) -> Iterator[tuple[str, tuple[tuple[str, ...], Places]]]:
     """Yield the transformations that GDAL can compute through the GCPs, with their options."""
     for words, options in _BY_GCPS:
-        places = level(transformed(path, *options))
+        transform = level(transformed(path, *options))
         try:
-            known = np.isfinite(places(_corners(found.size), np.zeros(4))).all()
+            is_determined = np.isfinite(transform(_corners(raster_header.size), np.zeros(4))).all()
         except NoAnswer:  # too few GCPs
             continue
-        if known:
-            yield words, (options, places)
+        if is_determined:
+            yield words, (options, transform)
 
 
-def _alike(places: Places, others: dict[str, tuple[tuple[str, ...], Places]],
+def _alike(default: Places, with_options: dict[str, tuple[tuple[str, ...], Places]],
            size: tuple[int, int]) -> str:
     """Return which of the transformations with options is the one without."""
+    # GDAL does not say which transformation it takes by default: its answers tell.
     image = _corners(size)
     flat = np.zeros(4)
-    own = places(image, flat)
-    for words, (_, other) in others.items():
-        if np.abs(other(image, flat) - own).max() <= _ALIKE * np.abs(own).max():
+    by_default = default(image, flat)
+    for words, (_, transform) in with_options.items():
+        if np.abs(transform(image, flat) - by_default).max() <= _ALIKE * np.abs(by_default).max():
             return words
     return "transformation through GCPs"
 
 
 def _corners(size: tuple[int, int]) -> FloatArray:
-    lines, samples = (float(side) - 1.0 for side in size)
+    lines, samples = (float(length) - 1.0 for length in size)
     return np.array([[0.0, 0.0], [0.0, samples], [lines, samples], [lines, 0.0]])
 
 
 def outline(size: tuple[int, int], across: int = 21) -> FloatArray:
     """Return places along the outer border of an image, line and sample (n, 2)."""
     share = np.linspace(0.0, 1.0, across)
-    sides = [np.column_stack(pair) for pair in (
-        (0 * share, share), (0 * share + 1, share), (share, 0 * share), (share, 0 * share + 1))]
-    return np.asarray(np.concatenate(sides) * size - 0.5)
+    zero = np.zeros_like(share)
+    unit = np.ones_like(share)
+    borders = [np.column_stack([zero, share]), np.column_stack([unit, share]),
+               np.column_stack([share, zero]), np.column_stack([share, unit])]
+    return np.asarray(np.concatenate(borders) * size - 0.5)

@@ -17,7 +17,7 @@ MOST = 25
 _VALUE = re.compile(r"^([\w.]+): *(.*)$", re.MULTILINE)
 
 
-def taken(path: Path, found: Header) -> Taken | None:
+def taken(path: Path, raster_header: Header) -> Taken | None:
     """Return what OTB takes, or None where it is not installed.
 
     Raises
@@ -37,16 +37,16 @@ def taken(path: Path, found: Header) -> Taken | None:
         for row in np.unique(np.linspace(0, len(image) - 1, MOST).round().astype(int)).tolist():
             line, sample = image[row].tolist()
             # Whole numbers are the centres of pixels.
-            said = dict(_VALUE.findall(answer(
+            values = dict(_VALUE.findall(answer(
                 [convert, "-in", str(path.absolute()), "-input.idx", repr(sample),
                  "-input.idy", repr(line)])))
-            ground[row] = float(said["output.idx"]), float(said["output.idy"])
+            ground[row] = float(values["output.idx"]), float(values["output.idy"])
         return ground
 
-    said = dict(_VALUE.findall(answer([info, "-in", str(path.absolute())])))
+    values = dict(_VALUE.findall(answer([info, "-in", str(path.absolute())])))
     try:
-        origin = np.array([float(said["originx"]), float(said["originy"])])
-        spacing = np.array([float(said["spacingx"]), float(said["spacingy"])])
+        origin = np.array([float(values["originx"]), float(values["originy"])])
+        spacing = np.array([float(values["spacingx"]), float(values["spacingy"])])
     except (KeyError, ValueError):
         raise NoAnswer("otbcli_ReadImageInfo gave an answer of another form") from None
     try:
@@ -57,7 +57,7 @@ def taken(path: Path, found: Header) -> Taken | None:
         return Taken(name, "RPC at the height 0", WGS84, places)
     if np.allclose(origin, 0.5) and np.allclose(np.abs(spacing), 1.0):
         return Taken(name, "none that its applications tell")
-    if found.geotransform and any(found.geotransform[i] for i in (2, 4)):
+    if raster_header.geotransform and any(raster_header.geotransform[i] for i in (2, 4)):
         return Taken(name, "affine transformation, whose turn it does not tell")
-    return Taken(name, "origin and spacing", found.crs,
+    return Taken(name, "origin and spacing", raster_header.crs,
                  lambda image, _heights: origin + spacing * image[:, ::-1])

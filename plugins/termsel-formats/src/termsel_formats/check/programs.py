@@ -50,36 +50,40 @@ def taken_by(path: Path | str) -> Answers:
         If no program can read it.
     """
     path = Path(path)
-    known: list[Taken] = []
+    answers: list[Taken] = []
     absent = []
     failed = []
     try:
-        known += raster.taken(path)
-        found = gdal.header(path)
+        answers += raster.taken(path)
+        raster_header = gdal.header(path)
     except NoAnswer as error:
-        found = None
+        raster_header = None
         failed = [str(error)]
-    if found is None:
-        return Answers(tuple(known), () if failed else ("GDAL (gdalinfo, gdaltransform)",),
+        failed = [str(error)]
+    if raster_header is None:
+        return Answers(tuple(answers), () if failed else ("GDAL (gdalinfo, gdaltransform)",),
                        tuple(failed))
-    for name, ask in (("GDAL", gdal.taken), ("QGIS", _one(qgis.taken)), ("OTB", _one(otb.taken))):
+    programs = (("GDAL", gdal.taken), ("QGIS", _as_iterator(qgis.taken)),
+                ("OTB", _as_iterator(otb.taken)))
+    for name, ask in programs:
         try:
-            more = list(ask(path, found))
+            of_program = list(ask(path, raster_header))
         except NoAnswer as error:
             failed.append(str(error))
             continue
-        known += more
-        if not more:
+        answers += of_program
+        if not of_program:
             absent.append(name)
-    if not known:
+    if not answers:
         raise TermselError("no program can read this raster", file=path, hint="; ".join(failed))
-    return Answers(tuple(known), tuple(absent), tuple(failed))
+    return Answers(tuple(answers), tuple(absent), tuple(failed))
 
 
-def _one(ask: Ask) -> Callable[[Path, gdal.Header], Iterator[Taken]]:
-    def asked(path: Path, found: gdal.Header) -> Iterator[Taken]:
-        one = ask(path, found)
-        if one is not None:
-            yield one
+def _as_iterator(ask: Ask) -> Callable[[Path, gdal.Header], Iterator[Taken]]:
+    """Return a question with at most one answer as one that yields its answers."""
+    def answers_of(path: Path, raster_header: gdal.Header) -> Iterator[Taken]:
+        answer = ask(path, raster_header)
+        if answer is not None:
+            yield answer
 
-    return asked
+    return answers_of

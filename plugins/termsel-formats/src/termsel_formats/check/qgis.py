@@ -20,17 +20,17 @@ _NEAR = 3.0  # px of the map that QGIS makes, by which its extent may differ fro
 @contextmanager
 def unchanged(file: Path) -> Iterator[None]:
     """Leave a file as it is, or away: QGIS writes the statistics of a layer next to its raster."""
-    held = file.read_bytes() if file.is_file() else None
+    before = file.read_bytes() if file.is_file() else None
     try:
         yield
     finally:
-        if held is None:
+        if before is None:
             file.unlink(missing_ok=True)
-        elif file.read_bytes() != held:
-            file.write_bytes(held)
+        elif file.read_bytes() != before:
+            file.write_bytes(before)
 
 
-def taken(path: Path, found: Header) -> Taken | None:
+def taken(path: Path, raster_header: Header) -> Taken | None:
     """Return what QGIS takes, or None where it is not installed.
 
     QGIS opens a raster with GCPs, RPCs or a rotated geotransform through GDAL's warped raster, by
@@ -55,32 +55,34 @@ def taken(path: Path, found: Header) -> Taken | None:
             "PATH": os.pathsep.join([str(Path(program).parent), os.defpath]),
             "QT_QPA_PLATFORM": "offscreen", "QGIS_CUSTOM_CONFIG_PATH": str(folder)}
         with unchanged(path.with_name(f"{path.name}.aux.xml")):
-            said = answer([program, "run", "--json", "native:rasterlayerproperties", "--",
+            text = answer([program, "run", "--json", "native:rasterlayerproperties", "--",
                            f"INPUT={path.absolute()}"], environment=environment)
     try:
-        whole = json.loads(said)
-        layer = whole["results"]
-        name = f"QGIS {whole['qgis_version'].partition('-')[0]}"
-        shown = np.array([layer[key] for key in ("X_MIN", "Y_MIN", "X_MAX", "Y_MAX")], dtype=float)
+        report = json.loads(text)
+        layer = report["results"]
+        name = f"QGIS {report['qgis_version'].partition('-')[0]}"
+        extent = np.array([layer[key] for key in ("X_MIN", "Y_MIN", "X_MAX", "Y_MAX")], dtype=float)
         pixel = np.array([layer["PIXEL_WIDTH"], layer["PIXEL_HEIGHT"]] * 2, dtype=float)
     except (ValueError, KeyError):
         raise NoAnswer("qgis_process gave an answer of another form") from None
-    if not found.kind:
+    if not raster_header.kind:
         return Taken(name, "none: no georeferencing")
     by_gdal = transformed(path)
-    border = outline(found.size)
+    border = outline(raster_header.size)
     words = {"geotransform": "affine transformation", "gcps": "as GDAL, through GCPs",
-             "rpc": "RPC at the height 0", "geolocation": "geolocation array"}[found.kind]
+             "rpc": "RPC at the height 0", "geolocation": "geolocation array"}[raster_header.kind]
     ways = {words: level(by_gdal)}
-    if found.height is not None:
-        ways[f"RPC at its height offset, {found.height:,.0f} m"] = level(by_gdal, found.height)
+    if raster_header.height is not None:
+        height = raster_header.height
+        ways[f"RPC at its height offset, {height:,.0f} m"] = level(by_gdal, height)
+    # The way whose outline has the extent that QGIS shows is the one that it took.
     away = {}
-    for words, places in ways.items():
-        seen = places(border, np.zeros(len(border)))
-        least = np.nanmin(seen, axis=0)
-        most = np.nanmax(seen, axis=0)
-        away[words] = float(np.abs((np.concatenate([least, most]) - shown) / pixel).max())
+    for words, transform in ways.items():
+        border_on_map = transform(border, np.zeros(len(border)))
+        lowest = np.nanmin(border_on_map, axis=0)
+        highest = np.nanmax(border_on_map, axis=0)
+        away[words] = float(np.abs((np.concatenate([lowest, highest]) - extent) / pixel).max())
     words = min(away, key=away.__getitem__)
     if not away[words] <= _NEAR:
         return Taken(name, f"another than GDAL: its extent is {away[words]:,.0f} px off")
-    return Taken(name, words, found.crs, ways[words])
+    return Taken(name, words, raster_header.crs, ways[words])

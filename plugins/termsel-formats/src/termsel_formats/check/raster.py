@@ -46,11 +46,11 @@ def _wkt(crs: object) -> str:
     return crs.to_wkt() if crs else ""  # type: ignore[attr-defined]
 
 
-def _by(transformer: type, given: object) -> Places:
+def _by(transformer: type, argument: object) -> Places:
     """Return what a transformer of rasterio computes at the height 0."""
     def places(image: FloatArray, _heights: FloatArray) -> FloatArray:
-        with transformer(given) as made:
-            x, y = made.xy(image[:, 0].tolist(), image[:, 1].tolist(), zs=[0.0] * len(image))
+        with transformer(argument) as opened:
+            x, y = opened.xy(image[:, 0].tolist(), image[:, 1].tolist(), zs=[0.0] * len(image))
         return np.column_stack([x, y])
 
     return places

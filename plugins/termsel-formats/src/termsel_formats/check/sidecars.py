@@ -30,18 +30,18 @@ def raster_of(path: Path, result: Result | None) -> Iterator[Path]:
                            hint="Give a raster, or a file that goes with one.")
     if not path.is_file():
         raise TermselError("there is no such file", file=path, hint="Check the name.")
-    found = _STEM.fullmatch(path.name)
+    match = _STEM.fullmatch(path.name)
     auxiliary = path.name.lower().endswith(_AUXILIARY)
-    if not found and not auxiliary:
+    if not match and not auxiliary:
         yield path
         return
-    stem = path.name[:-len(_AUXILIARY)] if auxiliary else str(found and found["stem"])
-    near = [path.with_name(stem)] if auxiliary else [
-        one for one in sorted(path.parent.iterdir())
-        if one.stem == stem and one.suffix.lower() in _PICTURES]
-    known = next((one for one in near if one.is_file()), None)
-    if known is not None:
-        yield known
+    stem = path.name[:-len(_AUXILIARY)] if auxiliary else str(match and match["stem"])
+    candidates = [path.with_name(stem)] if auxiliary else [
+        entry for entry in sorted(path.parent.iterdir())
+        if entry.stem == stem and entry.suffix.lower() in _PICTURES]
+    picture = next((candidate for candidate in candidates if candidate.is_file()), None)
+    if picture is not None:
+        yield picture
         return
     size = None if result is None else result.features.image_size
     if size is None:
@@ -49,9 +49,9 @@ def raster_of(path: Path, result: Result | None) -> Iterator[Path]:
                            file=path, hint="Put the image beside it, or give --result with a run "
                                            "that knows the size of its image.")
     with private_folder() as folder:
-        image = folder / ("image.tif" if found else Path(stem).with_suffix(".tif").name)
+        image = folder / ("image.tif" if match else Path(stem).with_suffix(".tif").name)
         _empty(image, size)
-        name = f"{image.name}{_AUXILIARY}" if auxiliary else f"image{found['rest']}"  # type: ignore[index]
+        name = f"{image.name}{_AUXILIARY}" if auxiliary else f"image{match['rest']}"  # type: ignore[index]
         shutil.copy(path, folder / name)
         yield image
 

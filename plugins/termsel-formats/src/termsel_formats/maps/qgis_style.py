@@ -83,10 +83,10 @@ def _symbol(kind: str, name: str, layer: str) -> str:
 
 def _layer(kind: str, inner: str = "", **properties: str) -> str:
     # <prop> rather than <Option>, which earlier versions of QGIS do not read.
-    told = "".join(f'<prop k="{name}" v="{value}"/>' for name, value in properties.items())
-    return f'<layer class="{kind}" enabled="1" locked="0" pass="0">{told}{inner}</layer>'
+    entries = "".join(f'<prop k="{name}" v="{value}"/>' for name, value in properties.items())
+    return f'<layer class="{kind}" enabled="1" locked="0" pass="0">{entries}{inner}</layer>'
 
 
 def _rgb(colour: str) -> str:
     """Return a colour such as #0072b2 as QGIS writes it."""
-    return ",".join(str(part) for part in bytes.fromhex(colour[1:])) + ",255"
+    return ",".join(str(component) for component in bytes.fromhex(colour[1:])) + ",255"

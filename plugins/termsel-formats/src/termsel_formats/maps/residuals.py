@@ -46,9 +46,9 @@ class ResidualsGeopackage(Writer):
             from pyogrio.errors import DataLayerError, DataSourceError
             from pyogrio.raw import write
         residuals = result.residuals
-        columns: dict[str, Any] = {
-            name: np.array([getattr(r, name) for r in residuals]) for name in (
-                "id", "kind", "role", "used", "line", "sample", "distance", "blunder")}
+        columns: dict[str, Any] = {}
+        for name in ("id", "kind", "role", "used", "line", "sample", "distance", "blunder"):
+            columns[name] = np.array([getattr(residual, name) for residual in residuals])
         ground = residuals.ground
         ends, exaggeration = self._ends(result, ground)
         layers = {
@@ -59,24 +59,24 @@ class ResidualsGeopackage(Writer):
         fields = [np.asarray(column, dtype=object) if column.dtype.kind in "UO" else column
                   for column in columns.values()]
         with private_folder() as folder, warnings.catch_warnings():
-            whole = folder / "residuals.gpkg"
+            file = folder / "residuals.gpkg"
             warnings.filterwarnings("ignore", "'crs' was not provided")  # plane coordinates
             try:
                 for layer, shapes in layers.items():
-                    write(str(whole), shapely.to_wkb(shapes), fields, list(columns), layer=layer,
+                    write(str(file), shapely.to_wkb(shapes), fields, list(columns), layer=layer,
                           driver="GPKG", geometry_type="Point" if layer == "residuals"
                           else "LineString", crs=horizontal(result.features.crs) or None,
-                          append=whole.exists(), dataset_options=_VERSION)
-                    if read_info(whole, layer=layer)["features"] != len(residuals):
+                          append=file.exists(), dataset_options=_VERSION)
+                    if read_info(file, layer=layer)["features"] != len(residuals):
                         raise DataLayerError("the file is incomplete")  # noqa: TRY301
-                shown = styles()
-                write(str(whole), None, list(shown.values()), list(shown), layer=TABLE,
-                      driver="GPKG", append=True, layer_options=OPTIONS)
+                layer_styles = styles()
+                write(str(file), None, list(layer_styles.values()), list(layer_styles),
+                      layer=TABLE, driver="GPKG", append=True, layer_options=OPTIONS)
             except (DataSourceError, DataLayerError) as error:
                 raise TermselError(
-                    f"cannot make the GeoPackage: {reason_of(error, whole)}", file=path,
+                    f"cannot make the GeoPackage: {reason_of(error, file)}", file=path,
                     hint="Check that there is room for temporary files.") from error
-            write_bytes(path, whole.read_bytes())
+            write_bytes(path, file.read_bytes())
         say_measured(self.name)
 
     def _ends(self, result: Result, ground: FloatArray) -> tuple[FloatArray, float]:
@@ -90,10 +90,11 @@ class ResidualsGeopackage(Writer):
         return ground[:, :2] + exaggeration * vectors, float(exaggeration)
 
 
-def _attributes(result: Result, taken: list[str]) -> dict[str, TextArray]:
+def _attributes(result: Result, reserved: list[str]) -> dict[str, TextArray]:
     """Return the attributes of the features that have residuals, whose names are not taken."""
     features = result.features
     row = {name: i for i, name in enumerate(features.ids)}
     rows = [row[residual.id] for residual in result.residuals]
     names = distinct([*features.points.attributes, *features.lines.attributes])
-    return {name: features.texts(name)[rows] for name in names if name.casefold() not in taken}
+    return {name: features.texts(name)[rows] for name in names
+            if name.casefold() not in reserved}

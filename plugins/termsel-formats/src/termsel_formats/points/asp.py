@@ -10,6 +10,7 @@ rows with others. Names of points are in comments here, ``# id 7 is NAME``.
 from __future__ import annotations
 
 import re
+from itertools import chain
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -64,8 +65,8 @@ class AspGcp(Reader):
     def read(self, path: Path) -> FeatureSet:
         """Return the points; errors name file, line and column."""
         points = _rows(path)
-        image = image_of(path, (name for _, _, images in points for name in images),
-                         self.options["image_name"], "image_name=NAME")
+        names = chain.from_iterable(images for _, _, images in points)
+        image = image_of(path, names, self.options["image_name"], "image_name=NAME")
         rows = [(number, *ground, image, *images[image])
                 for number, ground, images in points if image in images]
         lines, ids, *columns = zip(*rows, strict=True)
@@ -79,7 +80,7 @@ class AspGcp(Reader):
 
     def parts(self, path: Path) -> dict[str, dict[str, Any]]:
         """Return the images of the file, each of which is a part."""
-        images = dict.fromkeys(name for _, _, images in _rows(path) for name in images)
+        images = dict.fromkeys(chain.from_iterable(names for _, _, names in _rows(path)))
         return {image: {"image_name": image} for image in images} if len(images) > 1 else {}
 
 
@@ -172,9 +173,9 @@ class AspGcpWriter(PointsWriter):
 
 def _ids(names: tuple[str, ...]) -> tuple[str, ...]:
     """Return names that all are whole numbers, else numbers from 1."""
-    whole = all(name.isascii() and name.isdecimal() and str(int(name)) == name
+    are_numbers = all(name.isascii() and name.isdecimal() and str(int(name)) == name
                 and int(name) <= _LARGEST_ID for name in names)
-    return names if whole else tuple(str(number) for number in range(1, len(names) + 1))
+    return names if are_numbers else tuple(str(number) for number in range(1, len(names) + 1))
 
 
 def _word(text: str) -> str:

@@ -89,9 +89,9 @@ def _rows(path: Path) -> tuple[list[list[str]], list[int], str]:
                 raise TermselError("these points relate two images and have no ground "
                                    "coordinates", file=path, line=number,
                                    hint="Give points of the type image to map.")
-            found = _PROJECTION.search(text)
-            if found and (end := text.rfind("}", found.end())) >= 0:
-                crs = _crs(text[found.end():end])
+            projection = _PROJECTION.search(text)
+            if projection and (end := text.rfind("}", projection.end())) >= 0:
+                crs = _crs(text[projection.end():end])
         elif text.strip():
             rows.append(text.split())
             lines.append(number)
@@ -110,10 +110,10 @@ def _rows(path: Path) -> tuple[list[list[str]], list[int], str]:
 
 def _crs(projection: str) -> str:
     """Return the CRS of a projection as ENVI describes it, "" where it is another."""
-    parts = [part.strip().lower() for part in projection.split(",")]
-    if "wgs-84" not in parts:
+    items = [item.strip().lower() for item in projection.split(",")]
+    if "wgs-84" not in items:
         return ""
-    if parts[0].startswith("geographic"):
+    if items[0].startswith("geographic"):
         return "EPSG:4326"
-    found = re.search(r"^utm,\s*(\d{1,2}),\s*(north|south)", projection.strip(), re.IGNORECASE)
-    return "" if found is None else utm(int(found[1]), found[2].lower() == "south")
+    match = re.search(r"^utm,\s*(\d{1,2}),\s*(north|south)", projection.strip(), re.IGNORECASE)
+    return "" if match is None else utm(int(match[1]), match[2].lower() == "south")

@@ -45,32 +45,36 @@ class ErdasGcps(Reader):
             raise TermselError("this .gcc file of ERDAS IMAGINE is binary", file=path,
                                hint="Export the points from IMAGINE's table of points as text.")
         text = read_text(path).lstrip("\n\r ")
-        header, *rest = text.splitlines() or [""]
+        header, *text_rows = text.splitlines() or [""]
         separator = max("\t,;", key=header.count)
         names = [cell.strip() for cell in header.split(separator)]
-        found = {meaning: i for i, name in enumerate(names)
+        column_of = {meaning: i for i, name in enumerate(names)
                  if (meaning := _COLUMNS.get(re.sub(r"[^a-z ]", "", name.lower()).strip()))}
-        if not {"sample", "line", "x", "y"} <= set(found):
+        if not {"sample", "line", "x", "y"} <= set(column_of):
             raise TermselError("this table has no X Input, Y Input, X Ref. and Y Ref.", file=path,
                                line=1, hint="Export these columns too.")
         first = read_text(path).splitlines().index(header) + 2
         rows = []
-        for number, row in enumerate(csv.reader(rest, delimiter=separator), first):
+        for number, row in enumerate(csv.reader(text_rows, delimiter=separator), first):
             if not any(cell.strip() for cell in row):
                 continue
-            if len(row) <= max(found.values()):
+            if len(row) <= max(column_of.values()):
                 raise TermselError(f"{len(row)} cells, expected {len(names)}", file=path,
                                    line=number, hint="Give every point all its cells.")
             rows.append((number, row))
         if not rows:
             raise TermselError("this table has no points", file=path, hint="Export them again.")
         lines, cells = zip(*rows, strict=True)
-        columns = {meaning: [row[i].strip() for row in cells] for meaning, i in found.items()}
+        columns = {}
+        for meaning, i in column_of.items():
+            columns[meaning] = [row[i].strip() for row in cells]
         if "role" in columns:
             columns["role"] = [_ROLES.get(cell.lower(), "") for cell in columns["role"]]
-        table = Table(path, "", {meaning: names[i] for meaning, i in found.items()}, columns,
+        table = Table(path, "", {meaning: names[i] for meaning, i in column_of.items()}, columns,
                       lines)
         image = table.stack("line", "sample")
+        # IMAGINE counts lines upwards where the image has no map coordinates: all are negative
+        # then.
         if (image[:, 0] <= 0).all():
             image[:, 0] *= -1
         return FeatureSet(table.points(image, table.stack("x", "y", "z"), None, table.roles()),

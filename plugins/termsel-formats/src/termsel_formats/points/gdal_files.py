@@ -43,36 +43,43 @@ class PamGcps(Reader):
         if not rows:
             raise TermselError("this file has no ground control points", file=path,
                                hint="Check the image with gdalinfo.")
-        return FeatureSet(points_of(path, ids, [
-            (line - CORNER, sample - CORNER, *place) for sample, line, *place in rows]),
-            crs=_known(crs))
+        positions = [(line - CORNER, sample - CORNER, *ground) for sample, line, *ground in rows]
+        return FeatureSet(points_of(path, ids, positions), crs=_known(crs))
 
 
 _Found = tuple[list[str], list[list[float]], str]
 
 
 def _of_gdal(root: ElementTree.Element) -> _Found | None:
-    found = root.find("GCPList")
-    if found is None:
+    """Return ids, numbers and CRS of the list of GCPs that GDAL writes."""
+    gcp_list = root.find("GCPList")
+    if gcp_list is None:
         return None
-    gcps = found.findall("GCP")
-    return ([gcp.get("Id", "") for gcp in gcps],
-            [[float(gcp.get(key, "nan") if key == "Z" else gcp.attrib[key])
-              for key in ("Pixel", "Line", "X", "Y", "Z")] for gcp in gcps],
-            found.get("Projection", ""))
+    gcps = gcp_list.findall("GCP")
+    rows = []
+    for gcp in gcps:
+        height = float(gcp.get("Z", "nan"))
+        rows.append([*(float(gcp.attrib[key]) for key in ("Pixel", "Line", "X", "Y")), height])
+    return [gcp.get("Id", "") for gcp in gcps], rows, gcp_list.get("Projection", "")
 
 
 def _of_arcgis(root: ElementTree.Element) -> _Found | None:
-    found = root.find(".//GeodataXform")
-    if found is None:
+    """Return numbers and CRS of the control points of ArcGIS, which have no ids and heights."""
+    transformation = root.find(".//GeodataXform")
+    if transformation is None:
         return None
-    source, target = ([float(one.text or "") for one in found.findall(f"{which}GCPs/Double")]
-                      for which in ("Source", "Target"))
+
+    def numbers(name: str) -> list[float]:
+        return [float(element.text or "") for element in transformation.findall(f"{name}/Double")]
+
+    source = numbers("SourceGCPs")
+    target = numbers("TargetGCPs")
     if len(source) != len(target) or len(source) % 2:
         raise ValueError(f"{len(source)} numbers in the image and {len(target)} on the ground")
+    # Rows are counted upwards from the upper edge.
     rows = [[column, abs(row), x, y, np.nan] for column, row, x, y in zip(
         source[::2], source[1::2], target[::2], target[1::2], strict=True)]
-    return [""] * len(rows), rows, found.findtext("SpatialReference/WKT", "")
+    return [""] * len(rows), rows, transformation.findtext("SpatialReference/WKT", "")
 
 
 def _known(crs: str) -> str:
@@ -125,7 +132,7 @@ class GcpTiff(PointsWriter):
         used, gcps, crs = gcps_of(result)
         image = self.options["image"]
         picture = picture_for(result, None if image is None else Path(image).absolute())
-        with private_folder() as folder, atomic_path(path) as made:
+        with private_folder() as folder, atomic_path(path) as unfinished:
             source = folder / "gcps.vrt"
             source.write_bytes(encoded(vrt_text(picture, folder, gcps=gcps, crs=crs)))
             with open_raster(source) as raster:
@@ -136,7 +143,7 @@ class GcpTiff(PointsWriter):
                     raise TermselError(
                         f"cannot write this file: {reason_of(error, path, folder)}", file=path,
                         hint="Check the image, and the free space on the disk.") from error
-            shutil.move(folder / "copy.tif", made)
+            shutil.move(folder / "copy.tif", unfinished)
         say_by_gdal(self.name, result, used)
 
 

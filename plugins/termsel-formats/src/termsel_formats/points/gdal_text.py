@@ -59,10 +59,11 @@ class GdalOptions(Reader):
         commands = _commands(path)
         image = image_of(path, commands, self.options["image_name"], "image_name=NAME")
         command = commands[image]
-        rows = [[float(number) for number in found if number]
-                for found in _OPTION.findall(command)]
-        table = [(line - CORNER, sample - CORNER, x, y, height[0] if height else np.nan)
-                 for sample, line, x, y, *height in rows]
+        table = []
+        for matched in _OPTION.findall(command):
+            sample, line, x, y, *height = (float(number) for number in matched if number)
+            table.append((line - CORNER, sample - CORNER, x, y,
+                          height[0] if height else np.nan))
         srs = _SRS.search(command)
         return FeatureSet(points_of(path, [""] * len(table), table),
                           crs=_readable(next(filter(None, srs.groups()), "") if srs else ""))
@@ -80,12 +81,12 @@ def _commands(path: Path) -> dict[str, str]:
     an option file has no command, and an option a line.
     """
     joined = re.sub(r"[\\^`]\s*\n", " ", read_text(path))
-    kept = [line for line in joined.splitlines()
+    command_lines = [line for line in joined.splitlines()
             if not re.match(r"\s*(#|::|rem\b|//)", line, re.IGNORECASE)]
-    if not any(re.search(r"\bgdal", line) for line in kept):
-        kept = [" ".join(kept)]
+    if not any(re.search(r"\bgdal", line) for line in command_lines):
+        command_lines = [" ".join(command_lines)]
     commands: dict[str, str] = {}
-    for line in kept:
+    for line in command_lines:
         if not _OPTION.search(line):
             continue
         named = _IMAGE.search(_OPTION.sub(" ", line))
@@ -118,7 +119,7 @@ class GdalinfoText(Reader):
         if not rows:
             raise TermselError("gdalinfo shows no ground control points here", file=path,
                                hint="Give what it prints of an image that has some.")
-        table = [(line - CORNER, sample - CORNER, *place) for sample, line, *place in rows]
+        table = [(line - CORNER, sample - CORNER, *ground) for sample, line, *ground in rows]
         return FeatureSet(points_of(path, ids, table), crs=_readable(crs), image_size=size)
 
 
@@ -130,7 +131,9 @@ def _of_text(text: str) -> _Printed:
     gcps = _PRINTED.findall(text)
     size = _SIZE.search(text)
     crs = _PRINTED_CRS.search(text)
-    rows = [[float(number) if number else np.nan for number in numbers] for _, *numbers in gcps]
+    rows = []
+    for _, *numbers in gcps:
+        rows.append([float(number) if number else np.nan for number in numbers])
     return ([name for name, *_ in gcps], rows, " ".join(crs[1].split()) if crs else "",
             (int(size[2]), int(size[1])) if size else None)
 
@@ -141,8 +144,10 @@ def _of_json(path: Path, text: str) -> _Printed:
     try:
         content = parse_json(text, hint)
         gcps = content["gcps"]
-        rows = [[float(gcp[key]) if key in gcp else np.nan
-                 for key in ("pixel", "line", "x", "y", "z")] for gcp in gcps["gcpList"]]
+        rows = []
+        for gcp in gcps["gcpList"]:
+            rows.append([float(gcp[key]) if key in gcp else np.nan
+                         for key in ("pixel", "line", "x", "y", "z")])
         ids = [str(gcp.get("id", "")) for gcp in gcps["gcpList"]]
         crs = str((gcps.get("coordinateSystem") or {}).get("wkt", ""))
         size = content.get("size")

@@ -31,7 +31,8 @@ ENOUGH, GAIN = 0.05, 0.8
 """Error between the places of a lattice that is good enough [px], and the part of it that a denser
 one must fall below to be worth its places."""
 
-LONGITUDES, LATITUDES = ("longitude", "lon", "x"), ("latitude", "lat", "y")
+LONGITUDES = ("longitude", "lon", "x")
+LATITUDES = ("latitude", "lat", "y")
 HEIGHTS = ("height", "altitude", "elevation", "z")
 """What bands of arrays are called, without regard to case."""
 
@@ -123,7 +124,7 @@ class GeolocationArray(Reader):
         if self.options["latitude"] is not None:
             rasters = [raster, *(stack.enter_context(open_raster(Path(self.options[name])))
                                  for name in ("latitude", "height") if self.options[name])]
-            bands = [(one, 1) for one in rasters]
+            bands = [(opened, 1) for opened in rasters]
         elif numbers is not None:
             bands = [(raster, number) for number in numbers]
         else:
@@ -140,7 +141,7 @@ class GeolocationArray(Reader):
         if text is None:
             return np.full(2, usual)
         try:
-            pair = np.array([float(part) for part in str(text).split(",")])
+            pair = np.array([float(number) for number in str(text).split(",")])
         except ValueError:
             pair = np.zeros(0)
         if pair.shape != (2,) or not np.isfinite(pair).all() or (name == "array_step"
@@ -153,9 +154,10 @@ class GeolocationArray(Reader):
 def _named_bands(raster: Any) -> list[int] | None:
     """Return the numbers of the bands of longitude, latitude and perhaps height, by their names."""
     names = [str(name or "").strip().casefold() for name in raster.descriptions]
-    found = [next((names.index(name) + 1 for name in known if name in names), None)
-             for known in (LONGITUDES, LATITUDES, HEIGHTS)]
-    return None if None in found[:2] else [number for number in found if number is not None]
+    numbers: list[int | None] = []
+    for accepted in (LONGITUDES, LATITUDES, HEIGHTS):
+        numbers.append(next((names.index(name) + 1 for name in accepted if name in names), None))
+    return None if None in numbers[:2] else [number for number in numbers if number is not None]
 
 
 def _of_domain(path: Path, raster: Any, domain: dict[str, str], stack: ExitStack) -> Arrays:
@@ -169,8 +171,8 @@ def _of_domain(path: Path, raster: Any, domain: dict[str, str], stack: ExitStack
             raise TermselError(f"its domain GEOLOCATION has no {axis}_DATASET", file=path,
                                hint=_HINT)
         relative = domain.get(f"{axis}_DATASET_RELATIVE_TO_SOURCE", "NO").upper() in ("YES", "1")
-        place = Path(os.path.join(path.parent, name)) if relative else Path(name)
-        bands.append((stack.enter_context(open_raster(place)),
+        array_file = Path(os.path.join(path.parent, name)) if relative else Path(name)
+        bands.append((stack.enter_context(open_raster(array_file)),
                       int(_number(domain, f"{axis}_BAND", 1.0, path))))
     offset = np.array([_number(domain, f"{axis}_OFFSET", 0.0, path) for axis in ("LINE", "PIXEL")])
     step = np.array([_number(domain, f"{axis}_STEP", 1.0, path) for axis in ("LINE", "PIXEL")])
@@ -216,36 +218,37 @@ def _line_of(raster: Any, number: int) -> Band:
     def line(index: int) -> FloatArray:
         with np.errstate(all="ignore"):
             values = raster.read(number, window=Window(0, index, raster.width, 1), masked=True)
-            found = values.astype(np.float64).filled(np.nan)[0]
-            found = found * raster.scales[number - 1] + raster.offsets[number - 1]
-        found[~(np.abs(found) < LARGEST)] = np.nan
-        return np.asarray(found)
+            numbers = values.astype(np.float64).filled(np.nan)[0]
+            numbers = numbers * raster.scales[number - 1] + raster.offsets[number - 1]
+        numbers[~(np.abs(numbers) < LARGEST)] = np.nan
+        return np.asarray(numbers)
 
     return line
 
 
 def _lattice_of(arrays: Arrays, path: Path, meshes: int | None) -> FeatureSet:
     """Return some places of arrays, as many as the geometry needs, as control."""
-    most = max(size - 1 for size in arrays.shape)
+    densest = max(size - 1 for size in arrays.shape)
     lattice = None
     error = np.inf
+    # Twice as dense as long as that lessens the error between the nodes by a fifth.
     for density in DENSITIES if meshes is None else (meshes,):
         denser = _taken(arrays, density)
         after = _error_between(arrays, denser)
         if lattice is None or after < GAIN * error:
             lattice = denser
-        if after <= ENOUGH or after >= GAIN * error or density >= most:
+        if after <= ENOUGH or after >= GAIN * error or density >= densest:
             break
         error = after
     assert lattice is not None
     image, ground = lattice
-    known = np.isfinite(ground[:, :2]).all(axis=1)
-    if known.sum() < 4:
+    finite = np.isfinite(ground[:, :2]).all(axis=1)
+    if finite.sum() < 4:
         raise TermselError("this array has fewer than four nodes", file=path, hint=_HINT)
-    if (np.abs(ground[known, 1]) > 90.0).any() and not arrays.crs:
+    if (np.abs(ground[finite, 1]) > 90.0).any() and not arrays.crs:
         raise TermselError("the latitudes of this array are beyond 90", file=path, hint=_HINT)
-    image = image[known]
-    ground = ground[known]
+    image = image[finite]
+    ground = ground[finite]
     if np.isnan(ground[:, 2]).any():
         ground[:, 2] = np.nan
     names = tuple(f"L{line:g}P{sample:g}" for line, sample in image)
@@ -275,21 +278,24 @@ def _taken(arrays: Arrays, meshes: int, shift: float = 0.0) -> tuple[FloatArray,
 
     With a shift of a half they are those in the middle of the meshes.
     """
-    chosen = [np.unique(np.round((np.arange(min(meshes, size - 1) + (shift == 0.0)) + shift)
-                                 * (size - 1) / max(min(meshes, size - 1), 1)).astype(int))
-              for size in arrays.shape]
+    selected = []
+    for size in arrays.shape:
+        count = min(meshes, size - 1)
+        # Nodes are the ends of the meshes; shifted by a half, their middles, one fewer.
+        steps = np.arange(count + (shift == 0.0)) + shift
+        selected.append(np.unique(np.round(steps * (size - 1) / max(count, 1)).astype(int)))
     rows = []
-    for index in chosen[0]:
-        bands = [band(int(index))[chosen[1]] for band in arrays.bands]
-        bands += [np.full(len(chosen[1]), np.nan)] * (3 - len(bands))
+    for index in selected[0]:
+        bands = [band(int(index))[selected[1]] for band in arrays.bands]
+        bands += [np.full(len(selected[1]), np.nan)] * (3 - len(bands))
         rows.append(np.stack(bands, axis=1))
-    places = np.stack(np.meshgrid(*chosen, indexing="ij"), axis=-1).reshape(-1, 2)
+    nodes = np.stack(np.meshgrid(*selected, indexing="ij"), axis=-1).reshape(-1, 2)
     ground = np.concatenate(rows)
-    known = np.isfinite(ground[:, 0])
-    degrees = np.abs(ground[known, 0]).max(initial=0.0) <= 360.0
-    if degrees and known.any() and np.ptp(ground[known, 0]) > 180.0:  # across the date line
+    finite = np.isfinite(ground[:, 0])
+    degrees = np.abs(ground[finite, 0]).max(initial=0.0) <= 360.0
+    if degrees and finite.any() and np.ptp(ground[finite, 0]) > 180.0:  # across the date line
         ground[:, 0] %= 360.0
-    return arrays.first + places * arrays.step, ground
+    return arrays.first + nodes * arrays.step, ground
 
 
 def _error_between(arrays: Arrays, lattice: tuple[FloatArray, FloatArray]) -> float:
@@ -306,23 +312,28 @@ def _error_between(arrays: Arrays, lattice: tuple[FloatArray, FloatArray]) -> fl
     ground = ground.copy()
     ground[:, 2] = np.nan_to_num(ground[:, 2])  # of an array without heights
     at[:, 2] = np.nan_to_num(at[:, 2])
-    known = np.isfinite(ground[:, :2]).all(axis=1)
-    seen = np.isfinite(at[:, :2]).all(axis=1)
-    if known.sum() < 30 or not seen.any():
+    finite = np.isfinite(ground[:, :2]).all(axis=1)
+    has_ground = np.isfinite(at[:, :2]).all(axis=1)
+    if finite.sum() < 30 or not has_ground.any():
+        # Too few for the cubic: 10 terms of plane position and 7 with heights.
         return 0.0
-    middle = np.nanmean(ground[known], axis=0)
-    half = np.maximum(np.ptp(ground[known], axis=0) / 2.0, 1e-9)
-    columns = _columns((ground[known] - middle) / half)
-    solution = np.linalg.lstsq(columns, image[known])[0]
-    left = image[known] - columns @ solution
-    rest = griddata(image[known], left, between[seen], rescale=True)
-    predicted = _columns((at[seen] - middle) / half) @ solution + np.nan_to_num(rest)
-    errors = (between[seen] - predicted)[np.isfinite(rest).all(axis=1)]
+    middle = np.nanmean(ground[finite], axis=0)
+    half = np.maximum(np.ptp(ground[finite], axis=0) / 2.0, 1e-9)
+    columns = _columns((ground[finite] - middle) / half)
+    solution = np.linalg.lstsq(columns, image[finite])[0]
+    residuals = image[finite] - columns @ solution
+    interpolated = griddata(image[finite], residuals, between[has_ground], rescale=True)
+    predicted = _columns((at[has_ground] - middle) / half) @ solution + np.nan_to_num(interpolated)
+    errors = (between[has_ground] - predicted)[np.isfinite(interpolated).all(axis=1)]
     return float(np.sqrt((errors**2).sum(axis=1).mean())) if len(errors) else 0.0
 
 
 def _columns(ground: FloatArray) -> FloatArray:
     x, y, z = np.nan_to_num(ground).T
-    plane = [x**i * y**j for i in range(4) for j in range(4 - i)]
-    return np.stack([*plane, *(z * x**i * y**j for i in range(3) for j in range(3 - i)), z**2],
-                    axis=1)
+    plane = []
+    with_height = []
+    for i in range(4):
+        plane += [x**i * y**j for j in range(4 - i)]
+    for i in range(3):
+        with_height += [z * x**i * y**j for j in range(3 - i)]
+    return np.stack([*plane, *with_height, z**2], axis=1)

@@ -13,6 +13,7 @@ formats arcgis-csv and arcgis-tsv of its package io.
 from __future__ import annotations
 
 import re
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -47,7 +48,7 @@ class ArcgisLinks(Reader):
             rows = rows[1:]
         if len(rows) < 2 or len({len(cells) for cells in rows}) > 1 or len(rows[0]) not in _WIDTHS:
             return False
-        if not all(is_number(cell) for cells in rows for cell in cells):
+        if not all(map(is_number, chain.from_iterable(rows))):
             return False
         table = np.array(rows, dtype=np.float64)
         if not np.isfinite(table).all():
@@ -76,8 +77,9 @@ class ArcgisLinks(Reader):
                                    line=number, hint=_HINT)
         lines, cells_of_rows = zip(*rows, strict=True)
         first = _first(width)
-        columns = {meaning: [cells[first + i] for cells in cells_of_rows]
-                   for i, meaning in enumerate(_MEANINGS)}
+        columns = {}
+        for i, meaning in enumerate(_MEANINGS):
+            columns[meaning] = [cells[first + i] for cells in cells_of_rows]
         names = dict(_MEANINGS)
         if first:
             columns["id"] = [cells[0] for cells in cells_of_rows]
@@ -94,6 +96,9 @@ def _first(width: int) -> int:
 
 def _rows(text: str) -> list[tuple[int, list[str]]]:
     """Return number and cells of the lines that are no comments."""
-    return [(number, [cell for cell in re.split(r"[\s,;]+", line.strip()) if cell])
-            for number, line in enumerate(text.splitlines(), 1)
-            if line.strip() and not line.lstrip().startswith("#")]
+    rows = []
+    for number, line in enumerate(text.splitlines(), 1):
+        if line.strip() and not line.lstrip().startswith("#"):
+            cells = re.split(r"[\s,;]+", line.strip())
+            rows.append((number, [cell for cell in cells if cell]))
+    return rows

@@ -44,8 +44,8 @@ class MapInfoTab(Reader):
     def read(self, path: Path) -> FeatureSet:
         """Return the points; errors name file, line and column."""
         text = read_text(path)
-        rows = [(number, *found.groups()) for number, line in enumerate(text.splitlines(), 1)
-                if (found := _POINT.match(line))]
+        rows = [(number, *match.groups()) for number, line in enumerate(text.splitlines(), 1)
+                if (match := _POINT.match(line))]
         if not rows:
             raise TermselError("this table has no points of registration", file=path,
                                hint="Register the raster in MapInfo, or give another file.")
@@ -62,20 +62,21 @@ class MapInfoTab(Reader):
 
 def _crs(text: str) -> str:
     """Return the CRS of a table where it is longitude and latitude, or UTM, on WGS84; else ""."""
-    found = _SYSTEM.search(text)
-    if found is None:
+    match = _SYSTEM.search(text)
+    if match is None:
         return ""
-    parts = [part.strip().strip('"') for part in found[1].split(",")]
-    if parts[1:2] != list(_WGS84):
+    items = [item.strip().strip('"') for item in match[1].split(",")]
+    if items[1:2] != list(_WGS84):
         return ""
-    if parts[0] == "1":
+    if items[0] == "1":
         return "EPSG:4326"
     try:
-        lon, lat, scale, east, north = (float(part) for part in parts[3:8])
+        lon, lat, scale, east, north = (float(item) for item in items[3:8])
     except ValueError:
         return ""
+    # UTM: scale 0.9996, false easting 500 km, and a central meridian of 6 zone - 183.
     zone = round((lon + 183.0) / 6.0)
-    if parts[0] != "8" or parts[2] not in ("m", "7") or (lat, scale, east) != (0, 0.9996, 500000) \
+    if items[0] != "8" or items[2] not in ("m", "7") or (lat, scale, east) != (0, 0.9996, 500000) \
             or lon != 6 * zone - 183 or north not in (0.0, 1e7):
         return ""
     return utm(zone, north > 0)

@@ -7,7 +7,7 @@ columns and rows from the outer corner of the first pixel).
 from __future__ import annotations
 
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
@@ -36,39 +36,76 @@ class MetashapeMarkers(Reader):
         """Return the markers that a camera sees; errors name file and marker."""
         root = xml_root(path, _HINT)
         try:
-            cameras = {one.attrib["id"]: one.get("label", one.attrib["id"])
-                       for one in root.iter("camera") if "id" in one.attrib}
-            places = [(one.attrib["marker_id"], seen.attrib["camera_id"],
-                       float(seen.attrib["x"]), float(seen.attrib["y"]))
-                      for one in root.iter("marker") if "marker_id" in one.attrib
-                      for seen in one.iter("location") if seen.get("valid", "true") != "false"]
-            labels = {one.attrib["id"]: one.get("label", one.attrib["id"])
-                      for one in root.iter("marker") if "id" in one.attrib}
-            ground = {one.attrib["id"]: [float(known.get(axis, "nan")) for axis in "xyz"]
-                      for one in root.iter("marker") if "id" in one.attrib
-                      for known in one.findall("reference") if known.get("x") is not None}
+            cameras = _labels(root, "camera")
+            marks = _marks(root)
+            labels = _labels(root, "marker")
+            ground = _references(root)
         except (KeyError, ValueError) as error:
             raise TermselError(f"a marker cannot be read: {what_lacks(error)}", file=path,
                                hint=_HINT) from error
-        if not places or not ground:
+        if not marks or not ground:
             raise TermselError("this file has no markers with image and ground positions",
                                file=path, hint=_HINT)
-        camera = image_of(path, (cameras.get(one[1], one[1]) for one in places if one[0] in ground),
+        # Markers without a reference say nothing of the ground.
+        marks = [mark for mark in marks if mark.marker in ground]
+        camera = image_of(path, (cameras.get(mark.camera, mark.camera) for mark in marks),
                           self.options["image_name"], "image_name=NAME")
-        used = [one for one in places if cameras.get(one[1], one[1]) == camera and one[0] in ground]
-        image = np.array([[row, column] for _, _, column, row in used]) - CORNER
+        used = [mark for mark in marks if cameras.get(mark.camera, mark.camera) == camera]
+        image = np.array([[mark.row, mark.column] for mark in used]) - CORNER
         try:
-            return FeatureSet(Points(tuple(labels[one[0]] for one in used), image,
-                                     np.array([ground[one[0]] for one in used])), crs=_crs(root))
+            points = Points(tuple(labels[mark.marker] for mark in used), image,
+                            np.array([ground[mark.marker] for mark in used]))
+            return FeatureSet(points, crs=_crs(root))
         except TermselError as error:
             raise located(error, path) from error
 
 
+class _Mark(NamedTuple):
+    """A marker in the image of a camera, both by their ids; column and row from the corner."""
+
+    marker: str
+    camera: str
+    column: float
+    row: float
+
+
+def _labels(root: ElementTree.Element, tag: str) -> dict[str, str]:
+    """Return the labels of cameras or markers by their ids."""
+    return {element.attrib["id"]: element.get("label", element.attrib["id"])
+            for element in root.iter(tag) if "id" in element.attrib}
+
+
+def _marks(root: ElementTree.Element) -> list[_Mark]:
+    """Return where cameras see markers, but for positions that are off."""
+    marks = []
+    for marker in root.iter("marker"):
+        if "marker_id" not in marker.attrib:
+            continue
+        for location in marker.iter("location"):
+            if location.get("valid", "true") != "false":
+                marks.append(_Mark(marker.attrib["marker_id"], location.attrib["camera_id"],
+                                   float(location.attrib["x"]), float(location.attrib["y"])))
+    return marks
+
+
+def _references(root: ElementTree.Element) -> dict[str, list[float]]:
+    """Return the ground coordinates of markers by their ids; NaN for a height that is missing."""
+    ground = {}
+    for marker in root.iter("marker"):
+        if "id" not in marker.attrib:
+            continue
+        for reference in marker.findall("reference"):
+            if reference.get("x") is not None:
+                ground[marker.attrib["id"]] = [float(reference.get(axis, "nan"))
+                                               for axis in "xyz"]
+    return ground
+
+
 def _crs(root: ElementTree.Element) -> str:
     """Return the CRS of the references, "" for none."""
-    found = root.find(".//chunk/reference")
+    reference = root.find(".//chunk/reference")
     try:
-        return normalise("" if found is None else found.text or "")
+        return normalise("" if reference is None else reference.text or "")
     except TermselError:  # "LOCAL_CS" of Metashape, or nothing
         return ""
 
@@ -92,15 +129,15 @@ class MetashapeMarkersWriter(PointsWriter):
                                label=image_name(self.options["image"], path))
         markers = ElementTree.SubElement(chunk, "markers")
         frame = ElementTree.SubElement(ElementTree.SubElement(chunk, "frames"), "frame", id="0")
-        seen = ElementTree.SubElement(frame, "markers")
-        for i, (name, (line, sample), place) in enumerate(zip(
+        frame_markers = ElementTree.SubElement(frame, "markers")
+        for i, (name, (line, sample), position) in enumerate(zip(
                 points.ids, points.image.tolist(), points.ground.tolist(), strict=True)):
             marker = ElementTree.SubElement(markers, "marker", id=str(i), label=name)
-            known = {axis: repr(value) for axis, value in zip("xyz", place, strict=True)
+            coordinates = {axis: repr(value) for axis, value in zip("xyz", position, strict=True)
                      if not np.isnan(value)}
-            ElementTree.SubElement(marker, "reference", {**known, "enabled": "true"})
+            ElementTree.SubElement(marker, "reference", {**coordinates, "enabled": "true"})
             ElementTree.SubElement(
-                ElementTree.SubElement(seen, "marker", marker_id=str(i)), "location",
+                ElementTree.SubElement(frame_markers, "marker", marker_id=str(i)), "location",
                 camera_id="0", pinned="true", x=repr(sample + CORNER), y=repr(line + CORNER))
         ElementTree.SubElement(chunk, "reference").text = wkt(horizontal(result.features.crs))
         write_text(path, xml_document(root))

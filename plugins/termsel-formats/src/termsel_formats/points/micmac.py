@@ -55,9 +55,9 @@ class MicmacXml(Reader):
     def read(self, path: Path) -> FeatureSet:
         """Return the points of one image; errors name file and point."""
         marks = _marks(path)
-        places = self._places(path)
+        ground = self._places(path)
         image = image_of(path, marks, self.options["image_name"], "image_name=NAME")
-        ids = [name for name in marks[image] if name in places]
+        ids = [name for name in marks[image] if name in ground]
         if not ids:
             raise TermselError(f"no point of the image {image} has ground coordinates",
                                file=path, hint="Give the file of the same points, "
@@ -65,7 +65,7 @@ class MicmacXml(Reader):
         line_sample = [marks[image][name][::-1] for name in ids]
         try:
             return FeatureSet(Points(tuple(ids), np.array(line_sample),
-                                     np.array([places[name] for name in ids])), crs="")
+                                     np.array([ground[name] for name in ids])), crs="")
         except TermselError as error:
             raise located(error, path) from error
 
@@ -76,11 +76,11 @@ class MicmacXml(Reader):
 
     def _places(self, path: Path) -> dict[str, list[float]]:
         """Return the places on the ground, from the file itself or the one that belongs to it."""
-        asked = self.options["ground"]
+        stated = self.options["ground"]
         root = xml_root(path, _HINT)
-        if asked is None and root.find(".//OneAppuisDAF") is not None:
+        if stated is None and root.find(".//OneAppuisDAF") is not None:
             return _ground_of(root, path)
-        ground = _ground_file(path) if asked is None else Path(asked)
+        ground = _ground_file(path) if stated is None else Path(stated)
         if not ground.is_file():
             raise TermselError("the measures have image coordinates only", file=path,
                                hint="Name the file of their ground coordinates (Appuis), "
@@ -90,9 +90,9 @@ class MicmacXml(Reader):
 
 def _ground_file(path: Path) -> Path:
     """Return the file of the ground that belongs to a file of measures, by its name."""
-    for ending, other in _ENDINGS.items():
+    for ending, ground_ending in _ENDINGS.items():
         if path.name.lower().endswith(ending.lower()):
-            return path.with_name(path.name[:-len(ending)] + other)
+            return path.with_name(path.name[:-len(ending)] + ground_ending)
     return path.with_name(f"{path.stem}-S3D.xml")
 
 
@@ -117,13 +117,13 @@ def _marks(path: Path) -> dict[str, dict[str, list[float]]]:
 
 def _ground_of(root: ElementTree.Element, path: Path) -> dict[str, list[float]]:
     """Return the place of each point on the ground."""
-    places = {}
+    ground = {}
     for point in root.iter("OneAppuisDAF"):
         name = (point.findtext("NamePt") or "").strip()
-        places[name] = _numbers(path, name, point.findtext("Pt"), 3)
-    if not places:
+        ground[name] = _numbers(path, name, point.findtext("Pt"), 3)
+    if not ground:
         raise TermselError("this file has no points on the ground", file=path, hint=_HINT)
-    return places
+    return ground
 
 
 def _numbers(path: Path, name: str, text: str | None, count: int) -> list[float]:
@@ -172,19 +172,19 @@ class MicmacXmlWriter(PointsWriter):
         of_image = ElementTree.SubElement(measures, "MesureAppuiFlottant1Im")
         _add(of_image, "NameIm", image_name(self.options["image"], path))
         ground = ElementTree.Element("Global")
-        places = ElementTree.SubElement(ground, _GROUND)
+        appuis = ElementTree.SubElement(ground, _GROUND)
         sigma = float(self.options["ground_sigma"])
-        for name, (line, sample), place in zip(control.ids, control.image.tolist(),
+        for name, (line, sample), position in zip(control.ids, control.image.tolist(),
                                                control.ground.tolist(), strict=True):
             mark = ElementTree.SubElement(of_image, "OneMesureAF1I")
             _add(mark, "NamePt", name)
             _add(mark, "PtIm", f"{sample!r} {line!r}")
-            point = ElementTree.SubElement(places, "OneAppuisDAF")
-            _add(point, "Pt", " ".join(map(repr, place)))
+            point = ElementTree.SubElement(appuis, "OneAppuisDAF")
+            _add(point, "Pt", " ".join(map(repr, position)))
             _add(point, "NamePt", name)
             _add(point, "Incertitude", f"{sigma!r} {sigma!r} {sigma!r}")
-        with atomic_path(path) as made:  # in place after the other, or neither is
-            made.write_bytes(encoded(xml_document(measures)))
+        with atomic_path(path) as unfinished:  # in place after the other, or neither is
+            unfinished.write_bytes(encoded(xml_document(measures)))
             write_text(_ground_file(path), xml_document(ground))
         say_checked(self.name, checked)
 

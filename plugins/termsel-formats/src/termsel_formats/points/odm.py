@@ -65,8 +65,9 @@ class OdmGcpList(Reader):
                          "image_name=NAME, or fit each with termsel compare --points FILE")
         of_image = [(number, cells) for number, cells in marks if cells[5] == image]
         lines, rows = zip(*of_image, strict=True)
-        columns = {meaning: [_known_height(cells[_COLUMNS.index(name)]) for cells in rows]
-                   for meaning, name in _MEANINGS.items()}
+        columns = {}
+        for meaning, name in _MEANINGS.items():
+            columns[meaning] = [_known_height(cells[_COLUMNS.index(name)]) for cells in rows]
         names = dict(_MEANINGS)
         if all(len(cells) > 6 for cells in rows):
             columns["id"] = [cells[6] for cells in rows]
@@ -142,11 +143,11 @@ class OdmGcpListWriter(PointsWriter):
         require_points(checked, path, self.needs)
         image = _word(image_name(self.options["image"], path))
         rows = [_crs_line(result.features.crs)]
-        for name, (line, sample), place, is_check in zip(
+        for name, (line, sample), position, is_check in zip(
                 checked.points.ids, checked.points.image.tolist(), checked.points.ground.tolist(),
                 checked.is_check, strict=True):
             label = _word(f"{_CHECK}{name}" if is_check and not name.startswith(_CHECK) else name)
-            x, y, z = (repr(value) if value == value else "NaN" for value in place)
+            x, y, z = (repr(value) if value == value else "NaN" for value in position)
             rows.append(f"{x} {y} {z} {sample!r} {line!r} {image} {label}")
         write_text(path, "\n".join([*rows, ""]))
         say_checked(self.name, checked)

@@ -45,9 +45,9 @@ class OziMap(Reader):
         zones = set()
         kinds = set()
         for number, line in enumerate(text, 1):
-            found = _POINT.match(line)
+            match = _POINT.match(line)
             cells = [cell.strip() for cell in line.split(",")]
-            if found is None or len(cells) < 17 or not cells[2] or not cells[3]:
+            if match is None or len(cells) < 17 or not cells[2] or not cells[3]:
                 continue
             if cells[6] and cells[9]:
                 kinds.add("deg")
@@ -58,7 +58,7 @@ class OziMap(Reader):
                 x, y = cells[14:16]
             else:
                 continue
-            rows.append((number, found[1], x, y, cells[2], cells[3]))
+            rows.append((number, match[1], x, y, cells[2], cells[3]))
         if not rows:
             raise TermselError("this map has no points in use", file=path,
                                hint="Calibrate it in OziExplorer, or give another file.")
@@ -74,13 +74,14 @@ class OziMap(Reader):
         return FeatureSet(table.points(image, ground, None, ()), crs=crs)
 
 
-def _degrees(path: Path, line: int, degrees: str, minutes: str, side: str) -> str:
+def _degrees(path: Path, line: int, degrees: str, minutes: str, hemisphere: str) -> str:
     """Return degrees as a number, in text."""
     try:
-        return repr(_SIGN[side.upper()] * (float(degrees) + float(minutes or 0) / 60))
+        return repr(_SIGN[hemisphere.upper()] * (float(degrees) + float(minutes or 0) / 60))
     except (KeyError, ValueError):
-        raise TermselError(f"{degrees!r}, {minutes!r}, {side!r} are no degrees, minutes and side",
-                           file=path, line=line, hint="Write them as in 48, 30.5, N.") from None
+        raise TermselError(f"{degrees!r}, {minutes!r}, {hemisphere!r} are no degrees, minutes and "
+                           "side", file=path, line=line,
+                           hint="Write them as in 48, 30.5, N.") from None
 
 
 def _crs(datum: str, kinds: set[str], zones: set[tuple[str, str]]) -> str:
@@ -91,9 +92,9 @@ def _crs(datum: str, kinds: set[str], zones: set[tuple[str, str]]) -> str:
         return "EPSG:4326"
     if len(zones) > 1:
         return ""
-    zone, side = next(iter(zones))
-    known = zone.isdecimal() and side.upper() in ("N", "S")
-    return utm(int(zone), side.upper() == "S") if known else ""
+    zone, hemisphere = next(iter(zones))
+    is_utm = zone.isdecimal() and hemisphere.upper() in ("N", "S")
+    return utm(int(zone), hemisphere.upper() == "S") if is_utm else ""
 
 
 class OziMapWriter(PointsWriter):
@@ -136,14 +137,14 @@ class OziMapWriter(PointsWriter):
 def _row(number: int, row: float, column: float, x: float, y: float,
          zone: tuple[int, bool] | None) -> str:
     """Return the line of a point."""
-    place = f"Point{number:02d},xy,{column!r},{row!r},in"
+    beginning = f"Point{number:02d},xy,{column!r},{row!r},in"
     if zone is None:
-        return f"{place},deg,{_parted(y, 'NS')},{_parted(x, 'EW')},grid,,,,N"
-    side = "S" if zone[1] else "N"
-    return f"{place},deg,,,{side},,,E,grid,{zone[0]},{x!r},{y!r},{side}"
+        return f"{beginning},deg,{_parted(y, 'NS')},{_parted(x, 'EW')},grid,,,,N"
+    hemisphere = "S" if zone[1] else "N"
+    return f"{beginning},deg,,,{hemisphere},,,E,grid,{zone[0]},{x!r},{y!r},{hemisphere}"
 
 
-def _parted(angle: float, sides: str) -> str:
+def _parted(angle: float, hemispheres: str) -> str:
     """Return degrees, minutes and side."""
-    whole = int(abs(angle))
-    return f"{whole},{(abs(angle) - whole) * 60!r},{sides[angle < 0]}"
+    degrees = int(abs(angle))
+    return f"{degrees},{(abs(angle) - degrees) * 60!r},{hemispheres[angle < 0]}"

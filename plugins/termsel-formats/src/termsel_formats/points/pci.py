@@ -63,8 +63,10 @@ class PciGcp(Reader):
                                    hint="Correct the line, or name the fields with "
                                         "--set layout=IDPLXYZ.")
         lines, cells = zip(*rows, strict=True)
-        columns = {_MEANING[field]: [row[i] for row in cells]
-                   for i, field in enumerate(fields) if field in _MEANING}
+        columns = {}
+        for i, field in enumerate(fields):
+            if field in _MEANING:
+                columns[_MEANING[field]] = [row[i] for row in cells]
         if "role" in columns:
             for number, status in zip(lines, columns["role"], strict=True):
                 if status not in _ROLES:
@@ -79,19 +81,19 @@ class PciGcp(Reader):
                           crs="")
 
     def _fields(self, path: Path, first: list[str]) -> list[str]:
-        asked = re.sub(r"[\s,]", "", str(self.options["layout"]))
-        if not asked:
+        layout = re.sub(r"[\s,]", "", str(self.options["layout"]))
+        if not layout:
             status = first[-1] in _ROLES
             usual = _USUAL.get(len(first) - status)
             if usual is None:
                 raise TermselError(f"a line has {len(first)} fields", file=path,
                                    hint="Name them with --set layout=IDPLXYZ.")
             return usual.split() + ["S"] * status
-        fields = _TOKEN.findall(asked)
+        fields = _TOKEN.findall(layout)
         meanings = [_MEANING[field] for field in fields if field in _MEANING]
-        if "".join(fields) != asked or len(set(meanings)) < len(meanings) \
+        if "".join(fields) != layout or len(set(meanings)) < len(meanings) \
                 or not {"sample", "line", "x", "y"} <= set(meanings):
-            raise TermselError(f"the layout {asked!r:.40} is none of PCI",
+            raise TermselError(f"the layout {layout!r:.40} is none of PCI",
                                hint="It consists of ID, P, L, X, Y, Z, eP, eL, eX, eY, eZ and S; "
                                     "P, L, X and Y are required.")
         return fields
@@ -99,9 +101,11 @@ class PciGcp(Reader):
 
 def _rows(text: str) -> list[tuple[int, list[str]]]:
     """Return number and fields of the lines that are no comments."""
-    return [(number, [quoted or plain for quoted, plain in _FIELD.findall(line)])
-            for number, line in enumerate(text.splitlines(), 1)
-            if line.strip() and not line.lstrip().startswith(_COMMENT)]
+    rows = []
+    for number, line in enumerate(text.splitlines(), 1):
+        if line.strip() and not line.lstrip().startswith(_COMMENT):
+            rows.append((number, [quoted or bare for quoted, bare in _FIELD.findall(line)]))
+    return rows
 
 
 def _are_numbers(cells: list[str]) -> bool:
@@ -133,10 +137,10 @@ class PciGcpWriter(PointsWriter):
         heights = not np.isnan(points.ground[:, 2]).any()
         status = {role: letter for letter, role in _ROLES.items()}
         rows = []
-        for name, (line, sample), place, role in zip(
+        for name, (line, sample), position, role in zip(
                 points.ids, points.image.tolist(), points.ground.tolist(), points.roles,
                 strict=True):
-            numbers = (sample + CORNER, line + CORNER, *place[:3 if heights else 2])
+            numbers = (sample + CORNER, line + CORNER, *position[:3 if heights else 2])
             rows.append(" ".join([_quoted(name), *map(repr, numbers), status.get(role, "G")]))
         write_text(path, "\n".join([*rows, ""]))
         say_points(self.name)

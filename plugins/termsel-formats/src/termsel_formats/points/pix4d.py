@@ -54,34 +54,34 @@ class Pix4dMarks(Reader):
         """Return True for lines that begin with the name of an image, a label and two numbers."""
         lines = [line for line in head.removeprefix(b"\xef\xbb\xbf").splitlines()[:20]
                  if line.strip()]
-        whole = lines[:-1] or lines  # the last one may be cut
-        return bool(whole) and all(_MARK.match(line) for line in whole)
+        complete = lines[:-1] or lines  # the last one may be cut
+        return bool(complete) and all(_MARK.match(line) for line in complete)
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points; errors name file, line and column."""
         marks = _rows(path, (4, 5), "image,label,x,y")
-        asked = self.options["ground"]
-        there = _ground_file(path) if asked is None else Path(asked)
-        if asked is None and not there.is_file():
+        stated = self.options["ground"]
+        ground_file = _ground_file(path) if stated is None else Path(stated)
+        if stated is None and not ground_file.is_file():
             raise TermselError("the marks have image coordinates only", file=path,
                                hint="Name the file of their ground coordinates, "
                                     "--set ground=FILE.")
-        known = {row[0]: (number, row) for number, row in _rows(there, (3, 4, 5, 6),
+        ground_rows = {row[0]: (number, row) for number, row in _rows(ground_file, (3, 4, 5, 6),
                                                                 "label,x,y,z")}
-        image = image_of(path, (row[0] for _, row in marks if row[1] in known),
+        image = image_of(path, (row[0] for _, row in marks if row[1] in ground_rows),
                          self.options["image_name"], "image_name=NAME") \
-            if any(row[1] in known for _, row in marks) else None
-        used = [(number, row) for number, row in marks if row[0] == image and row[1] in known]
+            if any(row[1] in ground_rows for _, row in marks) else None
+        used = [(number, row) for number, row in marks if row[0] == image and row[1] in ground_rows]
         if not used:
-            raise TermselError(f"no label of these marks is in {there.name}", file=path,
+            raise TermselError(f"no label of these marks is in {ground_file.name}", file=path,
                                hint="Give the file of the same points.")
         lines, cells = zip(*used, strict=True)
         table = Table(path, "", {"id": "label", "sample": "x", "line": "y"}, {
             "id": [unguarded(row[1]) for row in cells], "sample": [row[2] for row in cells],
             "line": [row[3] for row in cells]}, lines)
-        of_ground = [known[row[1]] for row in cells]
+        of_ground = [ground_rows[row[1]] for row in cells]
         first, second = ("y", "x") if self.options["latitude_first"] else ("x", "y")
-        ground = Table(there, "", {axis: axis for axis in "xyz"}, {
+        ground = Table(ground_file, "", {axis: axis for axis in "xyz"}, {
             first: [row[1] for _, row in of_ground], second: [row[2] for _, row in of_ground],
             "z": [row[3] if len(row) > 3 else "" for _, row in of_ground]},
             [number for number, _ in of_ground])
@@ -135,14 +135,14 @@ class Pix4dMarksWriter(PointsWriter):
         image = cell_text(image_name(self.options["image"], path).replace(",", "_"))
         swapped = is_geographic(result.features.crs)
         marks = []
-        places = []
+        ground_rows = []
         for name, (line, sample), (x, y, z) in zip(
                 map(cell_text, points.ids), points.image.tolist(), points.ground.tolist(),
                 strict=True):
             marks.append(f"{image},{name},{sample + CORNER!r},{line + CORNER!r}")
             first, second = (y, x) if swapped else (x, y)
-            places.append(f"{name},{first!r},{second!r},{'' if np.isnan(z) else repr(z)}")
-        with atomic_path(path) as made:  # in place after the other, or neither is
-            made.write_bytes(encoded("\n".join([*marks, ""])))
-            write_text(_ground_file(path), "\n".join([*places, ""]))
+            ground_rows.append(f"{name},{first!r},{second!r},{'' if np.isnan(z) else repr(z)}")
+        with atomic_path(path) as unfinished:  # in place after the other, or neither is
+            unfinished.write_bytes(encoded("\n".join([*marks, ""])))
+            write_text(_ground_file(path), "\n".join([*ground_rows, ""]))
         say_points(self.name)

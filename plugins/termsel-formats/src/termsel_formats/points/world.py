@@ -54,20 +54,22 @@ class WorldFile(Reader):
             raise TermselError(f"this world file has {len(numbers)} numbers", file=path,
                                hint="A world file has six lines of one finite number.")
         image = self.options["image"]
-        there = [path.with_suffix(ending) for ending in _ENDINGS] if image is None else [
+        candidates = [path.with_suffix(ending) for ending in _ENDINGS] if image is None else [
             Path(image)]
-        found = next((one for one in there if one.is_file()), None)
-        if found is None:
+        picture = next((candidate for candidate in candidates if candidate.is_file()), None)
+        if picture is None:
             raise TermselError("there is no image beside this world file" if image is None
                                else "this image does not exist", file=image or path,
                                hint="Name it with --set image=FILE.")
-        with open_raster(found) as raster:
+        with open_raster(picture) as raster:
             size = raster.shape
             crs = raster.crs
         lines = size[0] - 1.0
         samples = size[1] - 1.0
         at = np.array([[0, 0], [0, samples], [lines, 0], [lines, samples],
                        [lines / 2, samples / 2]])
+        # x = A column + B row + C, y = D column + E row + F, in the order A, D, B, E, C, F, for the
+        # centre of the upper-left pixel.
         right, turn_y, turn_x, down, x, y = numbers
         ground = at @ [[turn_x, down], [right, turn_y]] + [x, y]
         epsg = crs.to_epsg() if crs else None
@@ -101,15 +103,15 @@ class WorldFileWriter(PointsWriter):
         if len(ground) < _FEWEST:  # a model that has no places on the ground: where its control is
             ground = fitted.control.points.ground
         image = fitted.project(ground)
-        known = np.isfinite(image).all(axis=1)
-        design = np.column_stack([np.ones(known.sum()), image[known, 1], image[known, 0]])
+        finite = np.isfinite(image).all(axis=1)
+        design = np.column_stack([np.ones(finite.sum()), image[finite, 1], image[finite, 0]])
         if np.linalg.matrix_rank(design) < 3:
             raise TermselError("the model gives no ground positions for most of the image",
                                file=path, hint="Fit a simpler model, such as --model affine.")
         # About the middle: coordinates are large next to the size of the image.
-        middle = ground[known, :2].mean(axis=0)
+        middle = ground[finite, :2].mean(axis=0)
         (x, y), (right_x, right_y), (down_x, down_y) = np.linalg.lstsq(
-            design, ground[known, :2] - middle, rcond=None)[0].tolist()
+            design, ground[finite, :2] - middle, rcond=None)[0].tolist()
         numbers = (right_x, right_y, down_x, down_y, x + middle[0], y + middle[1])
         matrix = np.array([[down_x, right_x], [down_y, right_y]])
         if np.linalg.matrix_rank(matrix) < 2:

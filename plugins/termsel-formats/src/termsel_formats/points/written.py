@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ log = logging.getLogger("termsel.formats")
 
 IMAGE = Option("image", None, "The image; its name is written into the file.")
 
-_UTM = {utm(zone, south): (zone, south) for south in (False, True) for zone in range(1, 61)}
+_UTM = {utm(zone, south): (zone, south) for zone, south in product(range(1, 61), (False, True))}
 
 
 class PointsWriter(Writer):
@@ -81,9 +82,9 @@ def checked_points(result: Result, *, with_heights: bool = False) -> CheckedPoin
     for outlier in result.outliers:
         if outlier.kind == "point" and (outlier.excluded or outlier.certainty != "possible"):
             reason_of_id[outlier.id] = f"blunder of {outlier.error:.3g} px"
-    kept = np.array([name not in reason_of_id for name in points.ids], dtype=np.bool_)
-    chosen = points.take(kept)
-    return CheckedPoints(chosen, tuple(role_of[name] == "independent" for name in chosen.ids),
+    is_written = np.array([name not in reason_of_id for name in points.ids], dtype=np.bool_)
+    written = points.take(is_written)
+    return CheckedPoints(written, tuple(role_of[name] == "independent" for name in written.ids),
                          tuple(f"{name} ({reason})" for name, reason in reason_of_id.items()))
 
 
@@ -110,8 +111,10 @@ def image_sigma(points: Points, result: Result) -> FloatArray:
     if points.sigma is not None:
         return points.sigma
     predicted = result.predicted
-    each = predicted.rmse / np.sqrt(2.0) if predicted is not None else 1.0
-    return np.full(points.image.shape, each if np.isfinite(each) and each > 0.0 else 1.0)
+    of_an_axis = predicted.rmse / np.sqrt(2.0) if predicted is not None else 1.0
+    if not np.isfinite(of_an_axis) or of_an_axis <= 0.0:
+        of_an_axis = 1.0
+    return np.full(points.image.shape, of_an_axis)
 
 
 def on_wgs84(points: Points, crs: str) -> tuple[Points, tuple[int, bool] | None]:

@@ -100,15 +100,15 @@ def interior_of(features: FeatureSet) -> Interior | None:
     size = features.image_size
     named = camera_named(stated["camera"]) if "camera" in stated else None
     if isinstance(named, SurveyCamera):
-        known = _of_type(named, stated, size)
+        interior = _of_type(named, stated, size)
     elif named is not None:
-        known = _of_file(named, stated["camera"])
+        interior = _of_file(named, stated["camera"])
     else:
-        known = _of_focal(stated, None, size)
-    known = _with_middle(known, stated, size)
+        interior = _of_focal(stated, None, size)
+    interior = _with_middle(interior, stated, size)
     if "camera_distortion" in stated:
-        known = replace(known, distortion=_numbers(stated, "camera_distortion", range(1, 6)))
-    return _with_place(known, stated)
+        interior = replace(interior, distortion=_numbers(stated, "camera_distortion", range(1, 6)))
+    return _with_place(interior, stated)
 
 
 def _stated(features: FeatureSet, name: str) -> str:
@@ -138,11 +138,11 @@ def _of_type(named: SurveyCamera, stated: Mapping[str, str],
              size: tuple[int, int] | None) -> Interior:
     """Return what is known of a camera of a type."""
     if "camera_focal" in stated:
-        known = _of_focal(stated, named, size)
+        interior = _of_focal(stated, named, size)
     else:
         pixel, spread = _pixel(stated, named, size)
-        known = Interior(named.focal / pixel, float(np.hypot(spread, named.spread)))
-    return replace(known, distortion=tuple(named.distortion),
+        interior = Interior(named.focal / pixel, float(np.hypot(spread, named.spread)))
+    return replace(interior, distortion=tuple(named.distortion),
                    source=f"the camera {stated['camera']} ({named.source})")
 
 
@@ -151,16 +151,16 @@ def _of_file(content: Mapping[str, Any], path: str) -> Interior:
     values = {name: _listed(content.get(name)) for name in (
         "focal", "focal_spread", "principal_point", "distortion")}
     (focal,) = _numbers({f"focal of {path}": values["focal"]}, f"focal of {path}", (1,))
-    known = Interior(_positive(focal, f"focal of {path}"), source=f"the camera file {path}")
+    interior = Interior(_positive(focal, f"focal of {path}"), source=f"the camera file {path}")
     if values["focal_spread"]:
         (spread,) = _numbers(values, "focal_spread", (1,))
-        known = replace(known, focal_spread=_positive(spread, "focal_spread"))
+        interior = replace(interior, focal_spread=_positive(spread, "focal_spread"))
     if values["principal_point"]:
         line, sample = _numbers(values, "principal_point", (2,))
-        known = replace(known, line=line, sample=sample)
+        interior = replace(interior, line=line, sample=sample)
     if values["distortion"]:
-        known = replace(known, distortion=_numbers(values, "distortion", range(1, 6)))
-    return known
+        interior = replace(interior, distortion=_numbers(values, "distortion", range(1, 6)))
+    return interior
 
 
 def _listed(value: Any) -> str:
@@ -182,48 +182,51 @@ def _pixel(stated: Mapping[str, str], named: SurveyCamera | None,
         raise TermselError(f"a focal length in mm does not tell that in px without {lacks}",
                            hint="State camera_pixel in um, or the image: --image FILE.")
     # A photo that was turned for display is as wide as its camera is high.
-    sides = sorted((named.width, named.height))
+    lengths = sorted((named.width, named.height))
     pixels = sorted(size)
-    pixel = sides[1] / pixels[1]
+    pixel = lengths[1] / pixels[1]
     if named.pixels == (0, 0):
         return pixel, SCANNED_SPREAD
+    # A sensor has its pixels, or as many as an enlargement of it; a scan has any number.
     enlarged = pixels[1] / max(named.pixels)
-    alike = abs(pixels[0] - min(named.pixels) * enlarged) < 0.01 * pixels[0]
-    return pixel, 0.002 if alike else SCANNED_SPREAD
+    same_shape = abs(pixels[0] - min(named.pixels) * enlarged) < 0.01 * pixels[0]
+    return pixel, 0.002 if same_shape else SCANNED_SPREAD
 
 
-def _with_middle(known: Interior, stated: Mapping[str, str],
+def _with_middle(interior: Interior, stated: Mapping[str, str],
                  size: tuple[int, int] | None) -> Interior:
     """Return an interior with the principal point, where the image or an option tells it."""
+    # Half the diagonal of the image, of which the scale of the prior of the principal point is a
+    # share.
     half = np.nan if size is None else float(np.hypot(*size)) / 2
     if "camera_principal_point" in stated:
         line, sample = _numbers(stated, "camera_principal_point", (2,))
-        known = replace(known, line=line, sample=sample)
-    if np.isfinite(known.line):
-        return replace(known, reach=STATED_REACH * (known.focal if size is None else half))
+        interior = replace(interior, line=line, sample=sample)
+    if np.isfinite(interior.line):
+        return replace(interior, reach=STATED_REACH * (interior.focal if size is None else half))
     if size is None:
-        return known
+        return interior
     line, sample = (np.array(size) - 1.0) / 2.0
-    return replace(known, line=float(line), sample=float(sample), reach=REACH * half)
+    return replace(interior, line=float(line), sample=float(sample), reach=REACH * half)
 
 
-def _with_place(known: Interior, stated: Mapping[str, str]) -> Interior:
+def _with_place(interior: Interior, stated: Mapping[str, str]) -> Interior:
     """Return an interior with the rough place of the camera, where it is stated."""
     if "camera_position" in stated:
         x, y, z, *spread = _numbers(stated, "camera_position", (3, 4))
-        known = replace(known, position=(x, y, z))
+        interior = replace(interior, position=(x, y, z))
         if spread:
-            known = replace(known, position_spread=_positive(spread[0], "camera_position"))
+            interior = replace(interior, position_spread=_positive(spread[0], "camera_position"))
     if "camera_height" in stated:
         (height,) = _numbers(stated, "camera_height", (1,))
-        known = replace(known, height=_positive(height, "camera_height"))
-    return known
+        interior = replace(interior, height=_positive(height, "camera_height"))
+    return interior
 
 
 def _numbers(stated: Mapping[str, str], name: str, counts: Any) -> tuple[float, ...]:
     """Return the numbers of a text such as "1,2,3", of which there are as many as one count."""
     try:
-        numbers = tuple(float(part) for part in stated[name].replace(";", ",").split(","))
+        numbers = tuple(float(number) for number in stated[name].replace(";", ",").split(","))
     except ValueError:
         numbers = ()
     if len(numbers) not in counts or not np.isfinite(numbers).all():

@@ -40,11 +40,14 @@ class Lens:
         """Return where ideal places (..., 2), x and y, are seen; NaN where the lens folds back."""
         x = ideal[..., 0]
         y = ideal[..., 1]
+        # Brown (1971), as OpenCV has it: r^2 = x^2 + y^2, x' = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2
+        # p1 x y + p2 (r^2 + 2 x^2), and y' with x and y exchanged.
         r2 = x**2 + y**2
-        grown = 1.0 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
-        seen = np.stack([x * grown + 2 * self.p1 * x * y + self.p2 * (r2 + 2 * x**2),
-                         y * grown + self.p1 * (r2 + 2 * y**2) + 2 * self.p2 * x * y], axis=-1)
-        return np.where(self._holds(r2)[..., None], seen, np.nan)
+        radial_factor = 1.0 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
+        distorted_x = x * radial_factor + 2 * self.p1 * x * y + self.p2 * (r2 + 2 * x**2)
+        distorted_y = y * radial_factor + self.p1 * (r2 + 2 * y**2) + 2 * self.p2 * x * y
+        return np.where(self._holds(r2)[..., None], np.stack([distorted_x, distorted_y], axis=-1),
+                        np.nan)
 
     def _holds(self, r2: FloatArray) -> BoolArray:
         """Return whether the distorted radius grows with the ideal one up to these squares."""
@@ -56,16 +59,16 @@ class Lens:
                 holds &= 1.0 + s2 * (3 * self.k1 + s2 * (5 * self.k2 + s2 * 7 * self.k3)) > 0.0
         return holds
 
-    def ideal(self, seen: FloatArray) -> FloatArray:
+    def ideal(self, measured: FloatArray) -> FloatArray:
         """Return the ideal places (..., 2) of what is seen; NaN where there is none."""
         if self.is_ideal:
-            return seen
-        ideal = np.array(seen, dtype=np.float64)
+            return measured
+        ideal = np.array(measured, dtype=np.float64)
         with np.errstate(all="ignore"):
             for _ in range(_STEPS):
                 # m(ideal) = seen: what is left is taken off, as the distortion is small.
-                left = seen - self.distorted(ideal)
-                ideal = ideal + left
-                if not (np.abs(left) > _CLOSE).any():
+                residual = measured - self.distorted(ideal)
+                ideal = ideal + residual
+                if not (np.abs(residual) > _CLOSE).any():
                     break
-        return np.where(np.abs(left) < 1e-6, ideal, np.nan)
+        return np.where(np.abs(residual) < 1e-6, ideal, np.nan)

@@ -72,10 +72,13 @@ class ByKnownCamera(Estimator):
         equations = 2 * len(in_use)
         count = round(camera.effective)
         errors = _errors_of(model, camera, scaling.features(in_use).points.image)
-        return Fit(model, scaling, control, np.ones(len(values), dtype=bool), used,
-                   Adjustment(values, np.full(len(values), np.nan), count, equations, count,
-                              np.nan, camera.sigma, converged=True),
-                   self, camera.effective, HeldOut.of(errors * scaling.image_scale, in_use))
+        # Coefficients have no variances of their own: the spread of positions is that of the
+        # cameras under the prior, see `spread`.
+        adjustment = Adjustment(values, np.full(len(values), np.nan), count, equations,
+                                rank=count, condition=np.nan, sigma0=camera.sigma, converged=True)
+        return Fit(model, scaling, control, np.ones(len(values), dtype=bool), used, adjustment,
+                   estimator=self, trace=camera.effective,
+                   stored_held_out=HeldOut.of(errors * scaling.image_scale, in_use))
 
     def spread(self, fitted: Fit, ground: FloatArray) -> Spread:
         """Return the mean square errors at scaled places (see `Estimator.spread`).
@@ -134,8 +137,8 @@ class KnownCamera(Method):
         What is said wrongly of a camera is an error, which the run tells.
         """
         features = control.features
-        known = interior_of(features)
-        if known is None:
+        interior = interior_of(features)
+        if interior is None:
             return "the focal length of a camera is not stated"
         if len(features.lines) or len(features.points) < FEWEST:
             return f"it is for {FEWEST} control points or more, without lines"
@@ -145,18 +148,19 @@ class KnownCamera(Method):
 
     def fit(self, control: FitData) -> Fit:
         """Fit the camera by all features."""
-        known = _interior(control)
+        interior = _interior(control)
         mirrored = is_mirrored(control)
-        model = KnownFrame.of(known, mirrored=mirrored)
+        model = KnownFrame.of(interior, mirrored=mirrored)
         fitted = self.estimator.fit(model, control.features, control.scaling,
                                     np.ones(len(model.terms), dtype=bool),
                                     np.ones(len(control), dtype=bool))
         sigma = fitted.adjustment.sigma0 * control.scaling.image_scale
-        most = max(MISFIT, MISFIT_PART * control.scaling.image_scale)
-        if sigma > most:
+        largest_sigma = max(MISFIT, MISFIT_PART * control.scaling.image_scale)
+        if sigma > largest_sigma:
             raise Undetermined(
-                f"the points are not those of {known.source}: they leave {sigma:.0f} px, and the "
-                f"most is {most:.0f} px", hint="Check the focal length, the points and heights.")
+                f"the points are not those of {interior.source}: they leave {sigma:.0f} px, and "
+                f"the most is {largest_sigma:.0f} px",
+                hint="Check the focal length, the points and heights.")
         return fitted
 
     def refit(self, fitted: Fit, data: FitData) -> Fit:
@@ -176,23 +180,26 @@ class KnownCamera(Method):
         """Return what told the camera, and how it stood."""
         model = fitted.model
         assert isinstance(model, KnownFrame)
-        known = _interior(FitData.of(fitted.control))
+        interior = _interior(FitData.of(fitted.control))
         camera = model.camera_of(fitted.adjustment.coefficients[None])
+        # The angle between the view and the vertical: cos = -R33 of the rotation from ground to
+        # camera.
         tilt = np.degrees(np.arccos(np.clip(-camera.rotation[0, 2, 2], -1.0, 1.0)))
         scaled = fitted.scaling.features(fitted.control.take(fitted.used))
         ground = model.local(scaled.points.ground)
         height = model.unit * (camera.position[0, 2] - ground[:, 2].mean())
         focal = camera.focal[0] * fitted.scaling.image_scale
-        return (f"The camera is known by {known.source}. It looked {tilt:.0f} deg off the vertical "
+        return (f"The camera is known by {interior.source}. It looked {tilt:.0f} deg off the "
+                "vertical "
                 f"from {height:,.0f} m above the points, with a focal length of {focal:,.0f} px.")
 
 
 def _interior(control: FitData) -> Interior:
-    known = interior_of(control.features)
-    if known is None:
+    interior = interior_of(control.features)
+    if interior is None:
         raise Undetermined("the focal length of the camera is not stated",
                            hint="State it: --set camera_focal=3131.8, in px.")
-    return known
+    return interior
 
 
 def is_mirrored(control: FitData) -> bool:

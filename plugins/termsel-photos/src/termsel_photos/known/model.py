@@ -94,7 +94,7 @@ class KnownFrame(SensorModel):
         Option("mirrored", False, "Whether the scan is mirrored, as of a negative.", bool))
 
     @classmethod
-    def of(cls, known: Interior, *, mirrored: bool) -> KnownFrame:
+    def of(cls, interior: Interior, *, mirrored: bool) -> KnownFrame:
         """Return the model of what is known of a camera."""
         def text(numbers: tuple[float, ...]) -> str:
             return ",".join(map(repr, numbers))
@@ -102,11 +102,11 @@ class KnownFrame(SensorModel):
         def number(value: float) -> float | None:
             return float(value) if np.isfinite(value) else None
 
-        return cls(focal=float(known.focal), focal_spread=float(known.focal_spread),
-                   line=number(known.line), sample=number(known.sample),
-                   reach=number(known.reach), distortion=text(known.distortion),
-                   position=text(known.position) if np.isfinite(known.position).all() else "",
-                   position_spread=float(known.position_spread), height=number(known.height),
+        return cls(focal=float(interior.focal), focal_spread=float(interior.focal_spread),
+                   line=number(interior.line), sample=number(interior.sample),
+                   reach=number(interior.reach), distortion=text(interior.distortion),
+                   position=text(interior.position) if np.isfinite(interior.position).all() else "",
+                   position_spread=float(interior.position_spread), height=number(interior.height),
                    mirrored=mirrored)
 
     def __init__(self, **options: Any) -> None:
@@ -199,29 +199,29 @@ class KnownFrame(SensorModel):
         weights = np.ones((len(points), 2)) if sigma is None else np.median(sigma) / sigma
         stated = noise if sigma is None else float(np.median(sigma)) * scale
         ground = self.local(points.ground)
-        place, spread = self._place(ground)
+        position, spread = self._position(ground)
         return Measured(
             ground, self.without_lens(points.image), weights,
             self.scaling.image(self.principal), self.reach, self.focal, np.ones(3),
-            LEAST / scale, focal_spread=float(self.options["focal_spread"]), place=place,
+            LEAST / scale, focal_spread=float(self.options["focal_spread"]), place=position,
             place_spread=spread, tilt=TILT, tails=TAILS, unknowns=UNKNOWNS,
             usual=(USUAL if stated is None else stated) / scale,
             experience=EXPERIENCE if stated is None else STATED_EXPERIENCE)
 
-    def _place(self, ground: FloatArray) -> tuple[FloatArray | None, FloatArray | None]:
+    def _position(self, ground: FloatArray) -> tuple[FloatArray | None, FloatArray | None]:
         """Return the rough place of the camera and its standard deviations, by `unit`."""
-        place = np.full(3, np.nan)
+        position = np.full(3, np.nan)
         spread = np.full(3, np.nan)
         height = self.options["height"]
         if height is not None:
-            place[2] = ground[:, 2].mean() + height / self.unit
+            position[2] = ground[:, 2].mean() + height / self.unit
             spread[2] = self.options["height_spread"] * height / self.unit
         if self.options["position"]:
             assert self.scaling is not None
             stated = np.array([list(map(float, self.options["position"].split(",")))])
-            place = self.local(self.scaling.ground(stated))[0]
+            position = self.local(self.scaling.ground(stated))[0]
             spread = np.full(3, self.options["position_spread"] / self.unit)
-        return (place, spread) if np.isfinite(place).any() else (None, None)
+        return (position, spread) if np.isfinite(position).any() else (None, None)
 
     def camera(self, features: FeatureSet, noise: float | None) -> Pinhole:
         """Return the camera that scaled control points call for.
@@ -232,24 +232,26 @@ class KnownFrame(SensorModel):
             If none has all points in front, or two see them alike.
         """
         measured = self.measured(features, noise)
-        found = camera_of(measured)
-        if found is None:
+        camera = camera_of(measured)
+        if camera is None:
             raise Undetermined("no camera of this focal length has all control points in front",
                                hint="Check the focal length and the heights.")
         if len(features.points) == 3:
-            return self._of_three(measured, found)
-        return found
+            return self._of_three(measured, camera)
+        return camera
 
-    def _of_three(self, measured: Measured, found: Pinhole) -> Pinhole:
+    def _of_three(self, measured: Measured, camera: Pinhole) -> Pinhole:
         """Return the camera of three points, which up to four cameras see alike (Grunert 1841)."""
         cameras = cameras_of(measured)
         rows = np.ones((len(cameras), 3))
-        costs = measured.costs(cameras, rows, found.sigma)
+        costs = measured.costs(cameras, rows, camera.sigma)
         far = np.linalg.norm(cameras.position[0])
-        others = [i for i in range(1, len(cameras)) if costs[i] < costs[0] + ALIKE and
-                  np.linalg.norm(cameras.position[i] - cameras.position[0]) > APART * far]
-        if not others:
-            return found
+        # Cameras that cost nearly the same and stand elsewhere: the points do not tell them apart.
+        distances = np.linalg.norm(cameras.position - cameras.position[0], axis=1)
+        elsewhere = distances > APART * far
+        as_good = costs < costs[0] + ALIKE
+        if not (as_good & elsewhere)[1:].any():
+            return camera
         raise Undetermined("two cameras see the three control points alike",
                            hint="State a rough flying height, --set camera_height=1500, or measure "
                                 "a fourth point.")
@@ -282,8 +284,8 @@ class KnownFrame(SensorModel):
     def project(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
         """Return image positions of ground points, shape (..., n, 2); NaN behind the camera."""
         values = np.reshape(coefficients, (-1, len(TERMS)))
-        seen = self.camera_of(values).image(self.local(ground))
-        return self.with_lens(seen).reshape(*np.shape(coefficients)[:-1], len(ground), 2)
+        ideal = self.camera_of(values).image(self.local(ground))
+        return self.with_lens(ideal).reshape(*np.shape(coefficients)[:-1], len(ground), 2)
 
     def denominators(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
         """Return distances from the camera along its view, for both axes, (..., n, 2)."""
@@ -303,16 +305,20 @@ class KnownFrame(SensorModel):
     def linearised(self, features: FeatureSet, coefficients: FloatArray) -> Equations:
         """Return the equations about a solution, with the priors of the interior."""
         assert self.scaling is not None
-        parts = []
+        derivatives = []
+        constants = []
         for ground in (features.points.ground, features.lines.ground.reshape(-1, 3)):
+            # Central differences: image(x) is about image(x0) + J (x - x0), so that the constant
+            # of the linear model is image(x0) - J x0.
             steps = _STEP * np.eye(len(TERMS))
-            both = self.project(np.concatenate([coefficients + steps, coefficients - steps]),
-                                ground)
-            columns = np.moveaxis(both[:len(TERMS)] - both[len(TERMS):], 0, -1) / (2 * _STEP)
-            parts += [columns, self.project(coefficients, ground) - columns @ coefficients]
-        found = image_equations(features, *parts[::2], *parts[1::2])
+            shifted = self.project(np.concatenate([coefficients + steps, coefficients - steps]),
+                                   ground)
+            jacobian = np.moveaxis(shifted[:len(TERMS)] - shifted[len(TERMS):], 0, -1) / (2 * _STEP)
+            derivatives.append(jacobian)
+            constants.append(self.project(coefficients, ground) - jacobian @ coefficients)
+        equations = image_equations(features, *derivatives, *constants)
         noise = USUAL / self.scaling.image_scale
         prior = np.zeros(len(TERMS))
         prior[6] = noise / self.options["focal_spread"]
         prior[7:] = noise / self.reach
-        return Equations(found.A, found.b, found.feature, prior)
+        return Equations(equations.A, equations.b, equations.feature, prior)

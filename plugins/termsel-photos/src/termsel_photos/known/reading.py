@@ -29,13 +29,14 @@ class CameraOptions:
 
     options = OPTIONS
 
-    def read(self, features: FeatureSet, given: Mapping[str, Any],
+    def read(self, features: FeatureSet, options_given: Mapping[str, Any],
              image: Path | str | None) -> FeatureSet:
         """Return features with what options say of the camera as columns of the points.
 
         Without options and columns the EXIF of the image tells it, where there is one.
         """
-        stated = {name: str(given[name]) for name in NAMES if given.get(name) is not None}
+        stated = {name: str(options_given[name]) for name in NAMES
+                  if options_given.get(name) is not None}
         attributes = features.points.attributes
         tells = {"camera", "camera_focal"}
         if image is not None and not tells & stated.keys() and not tells & attributes.keys():
@@ -81,9 +82,10 @@ def _focal_of(tags: Mapping[str, str], size: tuple[int, int]) -> dict[str, str]:
     focal = _first(tags.get("FocalLength", ""))
     per_unit = _first(tags.get("FocalPlaneXResolution", ""))
     unit = {2: 25.4, 3: 10.0}.get(round(_first(tags.get("FocalPlaneResolutionUnit", "2"))), 0.0)
+    # The resolution is of the sensor, of which the image may be a smaller copy.
     if focal > 0.0 and per_unit > 0.0 and unit > 0.0:
-        taken = _first(tags.get("PixelXDimension", "")) or max(size)
-        return {"camera_focal": f"{focal / unit * per_unit * max(size) / taken:.1f}"}
+        full_width = _first(tags.get("PixelXDimension", "")) or max(size)
+        return {"camera_focal": f"{focal / unit * per_unit * max(size) / full_width:.1f}"}
     return {}
 
 
@@ -95,16 +97,16 @@ def _position_of(tags: Mapping[str, str], crs: str) -> dict[str, str]:
         return {}
     south = tags.get("GPSLatitudeRef", "N").strip().upper() == "S"
     west = tags.get("GPSLongitudeRef", "E").strip().upper() == "W"
-    place = np.array([[-longitude if west else longitude, -latitude if south else latitude,
+    position = np.array([[-longitude if west else longitude, -latitude if south else latitude,
                        _first(tags["GPSAltitude"])]])
-    x, y, z = transformation("EPSG:4979", crs)(place)[0].tolist()
+    x, y, z = transformation("EPSG:4979", crs)(position)[0].tolist()
     return {"camera_position": f"{x!r},{y!r},{z!r},{EXIF_POSITION_SPREAD:g}"}
 
 
 def _first(text: str) -> float:
     """Return the first number of a tag such as "(8.8)"; 0 without one."""
-    found = _NUMBER.search(text)
-    return float(found.group()) if found else 0.0
+    match = _NUMBER.search(text)
+    return float(match.group()) if match else 0.0
 
 
 def _degrees(text: str) -> float | None:

@@ -94,6 +94,8 @@ def shared_camera(photos: Sequence[FeatureSet], size: tuple[int, int],
     step = (ends[1] / ends[0]) ** (1.0 / (WIDE - 1))
     best = flight.least(np.geomspace(*ends, WIDE), 0.0)
     k1 = 0.0
+    # In turns the distortion with the focal length held, then the focal length with the distortion
+    # held, by ever smaller steps.
     for _ in range(2):
         costs = np.array([flight.cost(best, distortion)[0] + (distortion / USUAL_DISTORTION) ** 2
                           for distortion in DISTORTIONS])
@@ -101,11 +103,14 @@ def shared_camera(photos: Sequence[FeatureSet], size: tuple[int, int],
         best = flight.least(best * np.geomspace(1.0 / step, step, CLOSE), k1)
         step = step ** 0.4
     near = best * np.exp(np.array([-0.01, 0.0, 0.01]))
+    # The cost is -2 log likelihood: near its least it is (log f - centre)^2 / s^2, so that twice
+    # its curvature gives the standard deviation s.
     centre, bent = _vertex(np.log(near), np.array([flight.cost(at, k1)[0] for at in near]))
     spread = float(np.clip(1.0 / np.sqrt(max(bent, 1e-9)), 1e-4, 0.1))
-    found = float(np.exp(centre))
-    return SharedCamera(found, spread, float(k1), flight.cost(found, k1)[1], len(data),
-                        sum(len(photo) for photo in data))
+    shared_focal = float(np.exp(centre))
+    sigma = flight.cost(shared_focal, k1)[1]
+    return SharedCamera(shared_focal, spread, float(k1), sigma, photos=len(data),
+                        points=sum(len(photo) for photo in data))
 
 
 class _Flight:
@@ -148,8 +153,9 @@ class _Flight:
         assert size is not None
         line, sample = (np.array(size) - 1.0) / 2.0
         reach = REACH * float(np.hypot(*size)) / 2.0
-        known = Interior(focal, HELD, float(line), float(sample), reach, (k1, 0.0, 0.0, 0.0, 0.0))
-        return KnownFrame.of(known, mirrored=self.mirrored[i]).prepared(
+        distortion = (k1, 0.0, 0.0, 0.0, 0.0)
+        interior = Interior(focal, HELD, float(line), float(sample), reach, distortion)
+        return KnownFrame.of(interior, mirrored=self.mirrored[i]).prepared(
             photo.scaling, photo.features.crs)
 
     def _camera(self, i: int, measured: Measured) -> Pinhole | None:

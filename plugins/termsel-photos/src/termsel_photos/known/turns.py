@@ -15,20 +15,23 @@ def vector_of(rotation: FloatArray) -> FloatArray:
     (Shepperd 1978, J. Guid. Control 1(3)).
     """
     trace = float(np.trace(rotation))
-    parts = np.append(np.diag(rotation), trace)
-    i = int(np.argmax(parts))
+    # 4 q_i^2 - 1 of the four components, but for the trace: the largest is divided by.
+    candidates = np.append(np.diag(rotation), trace)
+    i = int(np.argmax(candidates))
     q = np.empty(4)
     if i == 3:
         q[3] = 1.0 + trace
         q[:3] = [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0],
                  rotation[1, 0] - rotation[0, 1]]
     else:
-        j, k = (i + 1) % 3, (i + 2) % 3
+        j = (i + 1) % 3
+        k = (i + 2) % 3
         q[i] = 1.0 - trace + 2.0 * rotation[i, i]
         q[j] = rotation[j, i] + rotation[i, j]
         q[k] = rotation[k, i] + rotation[i, k]
         q[3] = rotation[k, j] - rotation[j, k]
     q /= np.linalg.norm(q) * (1.0 if q[3] >= 0.0 else -1.0)
+    # q = (axis sin(angle / 2), cos(angle / 2)).
     sine = float(np.linalg.norm(q[:3]))
     angle = 2.0 * np.arctan2(sine, q[3])
     return np.asarray(q[:3] * (angle / sine if sine > 0.0 else 2.0))

@@ -40,17 +40,20 @@ def usual_projections(ground: FloatArray, century: int | None = None) -> list[Pr
     parallels a sixth of the extent within it (a rule of Kavraisky's). Of a century those that were
     used then (Snyder 1993, Flattening the Earth).
     """
-    (west, south), (east, north) = ground.min(axis=0), ground.max(axis=0)
+    west, south = ground.min(axis=0)
+    east, north = ground.max(axis=0)
     lon = (west + east) / 2.0
     lat = (south + north) / 2.0
     sixth = max((north - south) / 6.0, 1e-3)
-    one, two = lat - 2.0 * sixth, lat + 2.0 * sixth
+    first_parallel = lat - 2.0 * sixth
+    second_parallel = lat + 2.0 * sixth
     earth = "+datum=WGS84 +units=m +no_defs"
     at = f"+lon_0={lon:.5f}"
-    conic = f"+lat_1={one:.5f} +lat_2={two:.5f} +lat_0={lat:.5f} {at} {earth}"
+    conic = (f"+lat_1={first_parallel:.5f} +lat_2={second_parallel:.5f} +lat_0={lat:.5f} "
+             f"{at} {earth}")
     around = f"+lat_0={lat:.5f} {at} {earth}"
     zone = int(np.clip((lon + 180.0) // 6.0 + 1.0, 1, 60))
-    every = [
+    projections = [
         Projection("equirectangular", f"+proj=eqc +lat_ts={lat:.5f} {at} {earth}"),
         Projection("plate carree", f"+proj=eqc +lat_ts=0 {at} {earth}", last=18),
         Projection("Mercator", f"+proj=merc {at} {earth}"),
@@ -67,7 +70,7 @@ def usual_projections(ground: FloatArray, century: int | None = None) -> list[Pr
         Projection("transverse Mercator", f"+proj=tmerc {around}", first=19),
         Projection(f"UTM {zone}{'S' if lat < 0 else 'N'}",
                    f"EPSG:32{7 if lat < 0 else 6}{zone:02d}", first=20)]
-    return [projection for projection in every if century is None
+    return [projection for projection in projections if century is None
             or projection.first <= century <= projection.last]
 
 
@@ -79,7 +82,7 @@ def projections_of_file(path: Path | str) -> list[Projection]:
     TermselError
         If it cannot be read, names none or too many, or one that is no CRS.
     """
-    found = []
+    projections = []
     for number, line in enumerate(read_text(Path(path)).splitlines(), 1):
         crs, _, name = line.partition("#")
         if not crs.strip():
@@ -88,8 +91,8 @@ def projections_of_file(path: Path | str) -> list[Projection]:
             normalise(crs.strip())
         except TermselError as error:
             raise TermselError(error.what, file=path, line=number, hint=error.hint) from error
-        found.append(Projection(name.strip() or crs.strip(), crs.strip()))
-    if not 0 < len(found) <= MOST:
-        raise TermselError(f"there are {len(found)} projections in this file", file=path,
+        projections.append(Projection(name.strip() or crs.strip(), crs.strip()))
+    if not 0 < len(projections) <= MOST:
+        raise TermselError(f"there are {len(projections)} projections in this file", file=path,
                            hint=f"Give 1 to {MOST}, a CRS a line: EPSG:27572  # Lambert II.")
-    return found
+    return projections

@@ -44,29 +44,31 @@ def tried_projections(sheets: Sequence[FeatureSet],
     were drawn in one projection, so that the product of their squared errors counts, each to the
     power of its number of points: a sheet of few points borrows from the others.
     """
-    parts = [_choosing_part(sheet) for sheet in sheets]
-    parts = [part for part in parts if len(part.points) >= FEWEST]
-    if not parts:
+    used_sheets = [_choosing_part(sheet) for sheet in sheets]
+    used_sheets = [sheet for sheet in used_sheets if len(sheet.points) >= FEWEST]
+    if not used_sheets:
         raise TermselError(f"no map has the {FEWEST} points that tell projections apart",
                            hint="Measure more points, or state the projection.")
-    tried = []
+    counts = [len(sheet.points) for sheet in used_sheets]
+    ranked = []
     for candidate in candidates:
-        name, crs = candidate.name, candidate.crs
-        logs = [(len(part.points), np.log(_predicted(part, crs))) for part in parts]
-        weights, values = zip(*logs, strict=True)
-        tried.append(Tried(name, crs, float(np.exp(np.average(values, weights=weights)))))
-    return sorted(tried, key=lambda one: one.rmse)
+        # The mean of log rmse, weighted by points: the log of the product above, by its power.
+        logs = [np.log(_predicted(sheet, candidate.crs)) for sheet in used_sheets]
+        rmse = float(np.exp(np.average(logs, weights=counts)))
+        ranked.append(Tried(candidate.name, candidate.crs, rmse))
+    return sorted(ranked, key=lambda projection: projection.rmse)
 
 
-def chosen_of(tried: Sequence[Tried], candidates: Sequence[Projection]) -> Tried:
+def chosen_of(ranked: Sequence[Tried], candidates: Sequence[Projection]) -> Tried:
     """Return the projection that is taken: of those that predict alike the first candidate."""
-    best = tried[0].rmse
+    best = ranked[0].rmse
     if not np.isfinite(best):
         raise TermselError("in no projection the points determine a model",
                            hint="Measure more points, spread over the map.")
-    alike = {one.crs: one for one in tried if one.rmse <= NEARLY * best}
-    return next(alike[candidate.crs] for candidate in candidates
-                if candidate.crs in alike)
+    nearly_best = {projection.crs: projection for projection in ranked
+             if projection.rmse <= NEARLY * best}
+    return next(nearly_best[candidate.crs] for candidate in candidates
+                if candidate.crs in nearly_best)
 
 
 def _choosing_part(features: FeatureSet) -> FeatureSet:

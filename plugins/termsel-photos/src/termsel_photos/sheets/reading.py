@@ -40,11 +40,11 @@ class SheetOptions:
 
     options = OPTIONS
 
-    def read(self, features: FeatureSet, given: Mapping[str, Any],
+    def read(self, features: FeatureSet, options_given: Mapping[str, Any],
              image: Path | str | None) -> FeatureSet:
         """Return features with longitudes from Greenwich, and the projection of the map."""
-        values = {option.name: option.parse(given[option.name]) for option in OPTIONS
-                  if given.get(option.name) is not None}
+        values = {option.name: option.parse(options_given[option.name]) for option in OPTIONS
+                  if options_given.get(option.name) is not None}
         if "prime_meridian" in values:
             features = from_greenwich(features, meridian_of(values["prime_meridian"]))
         if values.keys() & {"projection_candidates", "map_century"} \
@@ -59,13 +59,14 @@ class SheetOptions:
 
         candidates = candidates_of([features], values.get("projection_candidates"),
                                    values.get("map_century"))
-        tried = tried_projections([features], candidates)
-        chosen = chosen_of(tried, candidates)
-        others = [one for one in tried if one is not chosen][:_NEXT]
+        ranked = tried_projections([features], candidates)
+        best = chosen_of(ranked, candidates)
+        next_best = [projection for projection in ranked if projection is not best][:_NEXT]
         log.warning("Note: of %d projections %s predicts the points best: %.3g px (%s). "
-                    "Coordinates stay in %s.", len(tried), chosen.name, chosen.rmse,
-                    ", ".join(f"{one.name} {one.rmse:.3g} px" for one in others), features.crs)
-        return replace(features, fit_crs=normalise(chosen.crs))
+                    "Coordinates stay in %s.", len(ranked), best.name, best.rmse,
+                    ", ".join(f"{projection.name} {projection.rmse:.3g} px"
+                              for projection in next_best), features.crs)
+        return replace(features, fit_crs=normalise(best.crs))
 
 
 def from_greenwich(features: FeatureSet, meridian: float) -> FeatureSet:
@@ -101,5 +102,5 @@ def places_of_sheets(sheets: list[FeatureSet]) -> FloatArray:
         ground[:, 2] = 0.0
         degrees = to_wgs84(sheet.crs)(ground)[:, :2]
         corners += [degrees.min(axis=0), degrees.max(axis=0)]
-    every = np.array(corners)
-    return np.stack([every.min(axis=0), every.max(axis=0)])
+    all_corners = np.array(corners)
+    return np.stack([all_corners.min(axis=0), all_corners.max(axis=0)])
