@@ -91,6 +91,7 @@ class Auto(Method):
     hopeless: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
+        # A class of a plugin may declare anything: what is no number would fail at each comparison.
         for method in self.methods:
             if not (isinstance(method.max_features, numbers.Real) and method.max_features > 0):
                 limit = f"max_features={method.max_features!r:.40}"
@@ -116,6 +117,7 @@ class Auto(Method):
         Undetermined
             If some fold leaves too little to choose by.
         """
+        # The choice is repeated as a whole: errors under the chosen method alone are too small.
         data = FitData.of(fitted.control, fitted.model.uses_height)
         errors = self.repeated(data)
         if errors is None:
@@ -141,6 +143,7 @@ class Auto(Method):
         return self._call(method, hook, lambda: getattr(method, hook)(*args))
 
     def _call(self, method: Method, hook: str, call: Callable[[], Any]) -> Any:
+        # What failed once is not asked again: it would slow the run and say the same.
         if method.name in self.faults:
             return None
         try:
@@ -150,9 +153,11 @@ class Auto(Method):
             fault = answer is not None and of_type(answer, _HOOK_TYPES[hook])
             if fault:
                 raise wrong(method, hook, fault)
+        # Not determined is an answer: the method has nothing to say of these features.
         except Undetermined:
             return None
         except TermselError as error:
+            # An error of termsel's own is a mistake in termsel, and must be seen.
             if is_own(method):
                 raise
             self.faults[method.name] = error if isinstance(error, PluginFault) else \
@@ -175,6 +180,7 @@ class Auto(Method):
     def _count(self, data: FitData) -> int:
         """Return how many features there are, of all that these are a part of."""
         all_features = self.all_features or data.features
+        # Points are counted where there are no lines, as a line has equations of its own kind.
         return len(all_features) if len(data.features.lines) else len(all_features.points)
 
     def suspects(self, data: FitData) -> Suspects | None:
@@ -184,6 +190,7 @@ class Auto(Method):
 
     def fewest(self, data: FitData) -> int:
         """Return the fewest features to choose by."""
+        # The automatic choice needs one point more than a model that fits them exactly.
         return 1 if any(method.from_one for method in self.offered(data)) else MAX_EXACT_POINTS + 1
 
     def validated(self, method: Method, data: FitData) -> Fit | None:
@@ -198,6 +205,7 @@ class Auto(Method):
         if unnamed is None:
             return None
         fitted = replace(unnamed, method=method)
+        # An error without redundancy, or with a pole, would be one by chance.
         if fitted.stored_held_out is None and (
                 fitted.adjustment.redundancy < 1 or has_pole(fitted)):
             return None
@@ -227,10 +235,12 @@ class Auto(Method):
         fitted all the same, to be shown.
         """
         candidates = self.offered(data)
+        # A method may say that nothing else is possible, as of a file that names its sensor.
         if (settled := self._settled(candidates, data)) is not None:
             return settled
         fits: dict[str, Fit] = {}
         # What contains others comes first where these need not be fitted then.
+        # In folds, where the whole comparison is not needed, the largest come first.
         order = candidates if with_contained else sorted(candidates,
                                                          key=lambda method: -len(method.contains))
         for method in order:
@@ -241,6 +251,7 @@ class Auto(Method):
                 fits[method.name] = fitted
             if watch:
                 watch(fitted)
+        # In the order of the offer, whatever the order of fitting.
         compared = [fits[method.name] for method in candidates if method.name in fits]
         if not any(method_of(fitted).has_prior for fitted in compared):
             compared = [*self.few(data), *compared]
@@ -303,6 +314,7 @@ class Auto(Method):
         points_choice = self.choose(points, with_contained=with_contained)
         if points_choice is None:
             return choice
+        # Over the points, which both choices predict; lines are in one of them only.
         advantage = gain_of(points_choice.chosen.held_out().squares,
                             choice.chosen.held_out().squares[:count], choice.chosen.rounding)
         comparison = (
@@ -331,6 +343,7 @@ class Auto(Method):
         if choice is None or not priors:
             return choice_for_parts
         base = fit_to_beat(priors)[0]
+        # Near is what gains on the fit to beat, or carries a prior that the choice rests on.
         is_near = {method_of(fitted).name: method_of(fitted).has_prior or gain(fitted, base) > 0.0
                    for fitted in choice.compared}
 
@@ -370,6 +383,7 @@ class Auto(Method):
 
         errors: FloatArray | None
         errors, tried = self.recall(("repeated", folds), data, find)
+        # A progress bar was told how many fits there would be.
         for _ in range(tried - count):  # what was found before is told, too
             see(None)
         return errors
@@ -383,12 +397,15 @@ class Auto(Method):
                          choice: Choice | None) -> FloatArray | None:
         features = data.features
         order = spatial_order(ground_centres(features))
+        # Points first, then the vertices of lines.
         count = len(features.points)
         owner = features.feature
         errors = np.empty((len(owner), 2))
         fit_without = self._fitting_without(data, watch, choice)
         for fold in range(folds):
             in_fold = np.zeros(len(data), dtype=bool)
+            # Every so many features in the order along a curve through the ground: each fold is
+            # everywhere.
             in_fold[order[fold::folds]] = True
             fold_features = features.take(in_fold)
             fitted = fit_without(in_fold)
@@ -398,6 +415,7 @@ class Auto(Method):
             errors[:count][in_fold[:count]] = fitted.errors(fold_features.points)
             errors[count:][in_fold[owner[count:]]] = distances
         if count < len(owner):
+            # Errors of lines count by their length, as in the adjustment.
             weights = row_weights(data.scaled, heights=data.heights)
             errors[count:] *= weights[2 * count:].reshape(-1, 2)
         errors.setflags(write=False)  # whoever asks again gets the same
@@ -462,6 +480,7 @@ class Auto(Method):
                     return None
                 errors[in_fold] = fitted.errors(data.features.take(in_fold).points)
             directions.append((errors[inside], number[inside]))
+        # The worse of both directions is the one that is stated.
         return max(directions,
                    key=lambda direction: float((direction[0]**2).sum(axis=1).mean()))
 

@@ -82,18 +82,22 @@ def find_blunders(control: FitData, auto: Auto | None = None) -> Suspects | None
 
 def _suspects_of(control: FitData, auto: Auto) -> Suspects | None:
     everything = np.ones(len(control), dtype=bool)
+    # Asked for at several places, if at all.
     test_of_all = cache(Division(control, everything).shrunken_test)
+    # A core without blunders first, then all that it predicts: one blunder may hide another.
     core = _core(control, test_of_all)
     if core is None:
         return None
     used, test = _judged_by_field(control, *_readmitted(control, *core, test_of_all))
     while not (used.all() or test.by_field) and (
             choice := auto.choose(control.take(used), with_contained=False)):
+        # Another model, such as an RFM, may predict what the polynomial of the tests does not.
         extended = used | _predicted_by(choice.chosen, control.features)
         if (extended == used).all():
             break
         used = extended
     retained = used
+    # With few points a probable blunder may be half of what there is.
     if len(control) >= MIN_PROBABLE_POINTS and not len(control.features.lines):
         retained = _without_probable(control, used)
     if (retained != used).any():
@@ -104,7 +108,9 @@ def _suspects_of(control: FitData, auto: Auto) -> Suspects | None:
     far = test.far(len(control))
     decided = test.decided()
     blunders = ~retained
+    # Beyond chance, but where the prediction is too weak to accuse it.
     undecided = retained & far & ~decided
+    # Who is suspected by a polynomial may be right by the geometry of the sensor.
     cleared = _explained(control, auto, blunders | undecided)
     return test.suspects(blunders & ~cleared, blunders & ~cleared & ~(far & decided),
                          undecided & ~cleared, everything)
@@ -120,6 +126,7 @@ def _by_projection(control: FitData, auto: Auto,
     if len(control.features.lines):
         return None
     choice = auto.choose(control.take(used), with_contained=False)
+    # Only where a central projection is chosen, and its camera is found.
     if choice is None or not choice.method.central or choice.chosen.view is None:
         return None
     projection = choice.method
@@ -149,6 +156,7 @@ def _explained(control: FitData, auto: Auto, suspected: BoolArray) -> BoolArray:
     view that was fitted without the suspected points and predicts them tells that they are right.
     """
     cleared = np.zeros(len(control), dtype=bool)
+    # Each cleared point helps the model, which may then clear further ones.
     while not len(control.features.lines) and (suspected & ~cleared).any():
         choice = auto.choose(control.take(~suspected | cleared), with_contained=False)
         if choice is None or not _is_parametric(choice.chosen):
@@ -170,6 +178,7 @@ def _without_probable(control: FitData, used: BoolArray) -> BoolArray:
     """Leave out points that are likelier blunders than right, the likeliest one first each time."""
     retained = used.copy()
     while (~retained).sum() < int(MAX_BLUNDER_SHARE * len(control)):
+        # One at a time: without the worst, the next may look innocent.
         worst = Division(control, retained.copy()).likeliest_blunder()
         if worst is None:
             break
@@ -194,8 +203,10 @@ def _predicted_by(chosen: Fit, features: FeatureSet) -> BoolArray:
 def _errors(fitted: Fit, features: FeatureSet) -> FloatArray:
     """Return the largest error of each feature in line or sample, or off its line [px]."""
     largest = np.zeros(len(features))
+    # A blunder is mostly one of line or of sample alone.
     rows = np.abs(fitted.errors(features.points)).max(axis=1)
     if len(features.lines):
+        # From each vertex straight to the computed line.
         vectors = fitted.line_errors(features.lines)
         rows = np.concatenate([rows, np.linalg.norm(vectors, axis=2).max(axis=1)])
     np.maximum.at(largest, features.feature, rows)
@@ -213,6 +224,7 @@ def judge_others(chosen: Fit, heights: bool, other_points: Points,
     count = len(chosen.control.points)
     if not len(other_points):
         return None
+    # One scaling for all, so that nobody is judged in another unit.
     all_features = FitData.of(control.with_(points=control.points.join(other_points)), heights)
     is_other = np.zeros(len(all_features), dtype=bool)
     is_other[count:count + len(other_points)] = True
@@ -225,6 +237,7 @@ def judge_others(chosen: Fit, heights: bool, other_points: Points,
 def _contradictions(all_features: FitData, is_other: BoolArray, used: BoolArray) -> Suspects | None:
     """Return which features that are other contradict all, beginning with those `used`."""
     test_of_all = cache(Division(all_features, ~np.zeros_like(is_other)).shrunken_test)
+    # Where those in use are too few for a test, the core of all features is.
     test = Division(all_features, used).shrunken_test()
     core = _core(all_features, test_of_all) if test is None else (used, test)
     if core is None:
@@ -255,6 +268,7 @@ def _core(control: FitData, test_of_all: TestOfAll,
     core = len(control) - int(MAX_BLUNDER_SHARE * len(control))
     while used.sum() > core:
         to_set_aside = int(used.sum()) - core
+        # Large steps first, as the worst are clear; each step costs a test.
         count = max(1, int(STEP_SHARE * to_set_aside),
                     min(to_set_aside, int(MIN_STEP_SHARE * len(control))))
         worst = np.argsort(-np.where(used, test.strain, -1.0), kind="stable")[:count]
@@ -270,6 +284,7 @@ def _core(control: FitData, test_of_all: TestOfAll,
 
 def _with_weight(control: FitData, test_of_all: TestOfAll) -> BoolArray:
     """Return the features that have weight under a robust quadratic polynomial."""
+    # A robust fit that throws out more than blunders may be has failed.
     weightless = _weightless(control)
     max_blunders = int(MAX_BLUNDER_SHARE * len(control))
     if weightless is not None and weightless.sum() <= max_blunders:
@@ -285,8 +300,10 @@ def _weightless(control: FitData) -> BoolArray | None:
     """Return the features with a row of no weight; None if they are too few for a quadratic."""
     model = polynomial_of(control.heights, 2)
     equations = model.equations(control.scaled)
+    # Without redundancy all residuals are 0, and so all weights 1.
     if len(equations.b) <= len(model.terms):
         return None
+    # The biweight has weight 0 beyond its limit; others have only small ones.
     _, weights = reweighted(equations, biweight=True)
     weightless = np.zeros(len(control), dtype=bool)
     weightless[equations.feature[weights == 0]] = True
@@ -310,9 +327,11 @@ def _readmitted(control: FitData, used: BoolArray, test: Test, test_of_all: Test
         admissible = np.flatnonzero(~used & ~still_out)
         next_used = used.copy()
         if admissible.size:
+            # Half of them at a time, the best first: they sharpen the next test.
             likeliest = admissible[np.argsort(test.strain[admissible], kind="stable")]
             next_used[likeliest[:max(1, admissible.size // 2, int(MIN_STEP_SHARE * n))]] = True
         else:
+            # One at a time, the worst: it may be what makes the others look bad.
             blunders_in_use = np.flatnonzero(used & test.far(n) & test.decided())
             if blunders_in_use.size and (~used).sum() < int(MAX_BLUNDER_SHARE * n):
                 next_used[blunders_in_use[np.argmax(test.strain[blunders_in_use])]] = False
@@ -341,6 +360,7 @@ def _judged_by_field(control: FitData, used: BoolArray, test: Test) -> tuple[Boo
             break
         test = field_test
         far = test.far(n) & test.decided()
+        # The worst ones together, down to half of the largest strain.
         excluded = used & far & (test.strain
                                  >= np.max(test.strain, where=used & far, initial=0.0) / 2)
         used = (used & ~excluded) | (~used & ~far)

@@ -76,6 +76,7 @@ def compare(observations: Observations, auto: Auto, choice: Choice | None = None
     """
     data = observations.pool
     choice = choice or auto.choose(data)
+    # A choice may be over fewer features, such as the points alone: all are compared over those.
     if choice and choice.chosen.control is not data.features:
         data = FitData.of(choice.chosen.control, data.heights)
     fits: dict[str, tuple[Fit, float | None]] = {}
@@ -86,10 +87,12 @@ def compare(observations: Observations, auto: Auto, choice: Choice | None = None
     refused: dict[str, str] = {}
     for method in auto.methods:
         name = method.name
+        # Robust fits are compared only where blunders are looked for.
         if method in ROBUST or (
                 name not in fits and auto.ask(method, "declines", data) is not None):
             continue
         model = auto.ask(method, "model", data.heights)
+        # RFM are what the literature compares with: they are shown though the choice refused them.
         if name not in fits and not method.for_few and isinstance(model, RationalModel):
             fitted = auto.ask(method, "fit", data)
             if fitted is not None and (not fitted.estimator.least_squares
@@ -99,6 +102,7 @@ def compare(observations: Observations, auto: Auto, choice: Choice | None = None
         size = auto.ask(method, "size", data.heights) or np.inf
         if name in fits:
             rows.append((name, *fits[name]))
+        # A row with its size says that there are too few points for it.
         elif np.isfinite(size) and not method.for_few:
             rows.append((name, int(size), None))
     return Comparison(tuple(rows), choice.method.name if choice else "", choice,
@@ -119,6 +123,7 @@ def compare_robustly(observations: Observations, auto: Auto,
     rows = (*comparison.rows, *(
         (name, fitted, None) for name, fitted in robust
         if fitted is not None and fitted.adjustment.redundancy >= 1))
+    # By id: the pool is in another order than the control.
     is_blunder = np.isin(data.features.ids, list(blunders))
     choice = auto.choose(data.take(~is_blunder)) if is_blunder.any() else None
     if choice is None:

@@ -77,6 +77,7 @@ class Test:
                  judged: BoolArray) -> Suspects:
         """Return what is found of some of the features."""
         # Where `chance_of` is that: of normal errors one is as large at any of these features.
+        # The inverse of (1 + 2 s^2 / f)^(-f/2): the strain whose chance is FALSE_ALARM / n.
         threshold = np.sqrt(self.freedom / 2
                          * ((FALSE_ALARM / judged.sum()) ** (-2 / self.freedom) - 1))
         strain = np.maximum(max(MIN_STRAIN, float(threshold)), STRAIN_PER_SPREAD * self.spread)
@@ -98,6 +99,7 @@ class Division:
         Points are tested in their own coordinates, whatever those of the fit.
         """
         features = self.all_features.features
+        # Lines are straight in the CRS of the fit only.
         if not features.fit_crs or len(features.lines):
             return self.all_features.take(self.used)
         return FitData.of(replace(features, fit_crs="").take(self.used), self.all_features.heights)
@@ -125,10 +127,13 @@ class Division:
         scaling = self.in_use.scaling
         used = self.used
         scaled = scaling.points(points)
+        # Variance of the field at each place, and noise of unit weight.
         variance, unit = process.spread(scaled.ground)
         noise = unit / weights_of(points) ** 2
         errors = scaled.image - process.predict(scaled.ground)
+        # Mean square of both coordinates, each by its own deviation.
         statistic = (errors**2 / (variance + noise)).sum(axis=1) / 2
+        # The noise has the freedom of the points, whatever the field.
         freedom = process.solutions[0].posterior.freedom
         rows = np.stack([*np.abs(errors.T), chance_of(statistic, freedom), np.sqrt(statistic),
                          np.sqrt((1 + variance / noise).max(axis=1))], axis=1)
@@ -158,6 +163,7 @@ class Division:
         where they do not determine it.
         """
         try:
+            # A central projection may be undetermined where a polynomial is not.
             fitted = projection.fit(self.in_use)
         except Undetermined:
             return None
@@ -170,6 +176,7 @@ class Division:
         errors = fitted.errors(points)
         if freedom <= 2 or not np.isfinite(share).all() or not np.isfinite(errors).all():
             return None
+        # 1 - h of the leverage h; a point that determines itself has none.
         redundancy = np.maximum(1.0 - np.minimum(share, 1.0), NEGLIGIBLE_ERROR)
         squares = errors**2 * weights**2
         total = float(squares[used].sum())
@@ -177,6 +184,7 @@ class Division:
         # Without a point the squares fall by r^2 / (1 - h), and the freedom by two.
         noise[used] = (np.maximum(total - (squares / redundancy).sum(axis=1), NEGLIGIBLE_ERROR**2)
                        / (freedom - 2))[used]
+        # r / (1 - h): the error if the point were left out.
         errors[used] /= redundancy[used]
         relative_variance = np.where(used[:, None], 1.0 / redundancy, 1.0 + share)
         statistic = (errors**2 * weights**2 / relative_variance).sum(axis=1) / 2 / noise
@@ -193,12 +201,14 @@ class Division:
         process = self._gaussian_process
         if process is None:
             return None
+        # In a fit without errors rounding would decide which is worst.
         large = np.abs(
             process.errors).max(axis=1) * self.in_use.scaling.image_scale > NEGLIGIBLE_ERROR
         doubtful = np.flatnonzero(large & (process.held_out.statistic > LOOK_STRAIN**2))
         if not doubtful.size:
             return None
         odds = process.blunder_odds(doubtful)
+        # Prior odds of 1 to n - 1, as any of the points may be the blunder.
         likely = odds.max() > np.log(len(self.in_use) - 1)
         return int(np.flatnonzero(self.used)[doubtful[odds.argmax()]]) if likely else None
 
@@ -210,6 +220,7 @@ def _better(quadratic: _Squares | None, cubic: _Squares | None) -> _Squares | No
     """Return the cubic if its squared errors are clearly smaller, else the quadratic."""
     if quadratic is None or cubic is None:
         return cubic or quadratic
+    # Clearly: by so many standard errors of the difference.
     gain = gain_of(cubic.squares, quadratic.squares, NEGLIGIBLE_ERROR)
     return cubic if gain > PRIOR_MARGIN else quadratic
 
@@ -233,6 +244,7 @@ class _PointPrediction:
     @cached_property
     def squares(self) -> FloatArray:
         """Squared errors of the points in use, of many some, each by the others, shape (m,)."""
+        # Every so many of many points: leaving one out costs the same for each.
         sample = slice(0, self.posterior.in_use, -(-self.posterior.in_use // MAX_COMPARED_POINTS))
         errors = (self.posterior.held_out
                   if sample.step == 1 else self.posterior.held_out_of(sample)).errors
@@ -242,6 +254,7 @@ class _PointPrediction:
     def test(self) -> Test:
         """Return the test: points that are not in use are looked at here alone."""
         posterior = self.posterior
+        # In the order of the features, not in that of the posterior, which has those in use first.
         rows = np.empty((len(self.order), 5))
         rows[self.order] = np.concatenate(
             [_figures(posterior.held_out), _figures(posterior.predict_unused(UNUSED_WEIGHT))])
@@ -260,6 +273,7 @@ def _prediction_of_points(division: Division, degree: int) -> _PointPrediction |
     exponents = polynomial_of(division.all_features.heights, degree).exponents
     powers = np.array(exponents).sum(axis=1)
     weights = weights_of(points)
+    # Those in use first, as the posterior counts them.
     order = np.argsort(~used, kind="stable")
     posterior_of_points = posterior(monomials(scaled.ground[order],
                                               exponents), scaled.image[order], powers,
@@ -283,9 +297,11 @@ def _test_of_lines(division: Division, degree: int) -> Test | None:
         model.exponents, 0, int((weights == 1.0).sum()))
     if posterior_of_lines is None:
         return None
+    # A tiny weight instead of none: a feature out of use is predicted by the same factorisation.
     predictions = posterior_of_lines.predictions(np.where(used, 1.0, UNUSED_WEIGHT))
     pixels = predictions.errors / row_weights(scaled, heights=control.heights) * scaling.image_scale
     largest, squares = np.zeros((2, len(control)))
+    # A line has the error of its worst vertex.
     np.maximum.at(largest, equations.feature, np.abs(pixels))
     np.add.at(squares, equations.feature, pixels**2)
     return Test(largest, predictions.probability, predictions.strain, predictions.spread,

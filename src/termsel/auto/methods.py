@@ -57,6 +57,7 @@ class Structure(Method):
 
     def declines(self, data: FitData) -> str | None:
         """Return why there is no model for features with heights, or without."""
+        # A structure has a model with heights, without, or both.
         if self.model(data.heights) is not None:
             return None
         return (f"{self.title} needs heights that are known and differ" if self.without is None
@@ -66,6 +67,7 @@ class Structure(Method):
         """Fit the model by the estimator, offering all its terms."""
         model = self.model(data.heights)
         assert model is not None
+        # All terms are offered; an estimator that selects takes fewer.
         terms, used = (np.ones(n, dtype=bool) for n in (len(model.terms), len(data)))
         return require_determined(
             self.estimator.fit(model, data.features, data.scaling, terms, used))
@@ -80,6 +82,7 @@ class Structure(Method):
 
     def size(self, heights: bool) -> float:
         """Return the number of terms, where no estimator selects or shrinks them by the points."""
+        # A number of terms compares sizes only where all of them are in use.
         model = self.model(heights)
         fixed = isinstance(self.estimator, LeastSquares | RidgeByOrder)
         return len(model.terms) if model is not None and fixed else np.inf
@@ -90,6 +93,7 @@ class _OfPlane(Structure):
 
     def declines(self, data: FitData) -> str | None:
         """Return why it is not for features with heights: they do more than the view does."""
+        # Off a plane a projective transformation of the plane holds in an oblique view alone.
         if data.heights and view_of(data.scaled.points) is None:
             return f"{self.title} is for features without heights, or for oblique views"
         return super().declines(data)
@@ -102,6 +106,7 @@ class _OfCamera(Structure):
         """Return why it is not for lines, or for coordinates of which nobody knows the level."""
         if len(control.features.lines):
             return f"{self.title} takes points alone, and there are lines"
+        # A camera needs an up: geocentric coordinates have none.
         if metres_of(control.features, control.scaling) is None:
             return f"{self.title} needs to know which way is up, so no geocentric coordinates"
         return None
@@ -132,6 +137,7 @@ class _Selected(Structure):
 
     def refit(self, fitted: Fit, data: FitData) -> Fit:
         """Return the least-squares fit of the terms that were selected."""
+        # Selecting again among all points would be another model.
         return LEAST_SQUARES.fit(fitted.model, data.features, data.scaling, fitted.terms,
                                  np.ones(len(data), dtype=bool))
 
@@ -155,6 +161,7 @@ class _WithField(Structure):
                     "polynomials, fields, a spline and an affine image. The probability of local "
                     "deformation is "
                     f"{process.probability:.3g}.")
+        # The requirement is stated where the field is a course of its own.
         requirement = f"; it must exceed {required_probability(process):g}" * (process.spline_weight
                                                                                == 0.0)
         return (f"{self.label} is used: the probability of local deformation is "
@@ -166,6 +173,7 @@ class _WithPhysics(Structure):
 
     def refit(self, fitted: Fit, data: FitData) -> Fit:
         """Return the fit to more points, which may no longer call for the prior."""
+        # With more points the prior may no longer be called for.
         try:
             return self.fit(data)
         except Undetermined:

@@ -99,12 +99,14 @@ class CameraAverage(Average):
         more: where it is hardly likelier than what stands without it, that is as good, and has no
         prior that may be wrong.
         """
+        # A field takes its share first; prior and polynomials divide the rest.
         field_probability = local.probability if local and local.probability > required_probability(
             local) else 0.0
         physical = self.probability * (1.0 - field_probability)
         shrunken = 1.0 - self.probability
         required = FIELD_CALLED_FOR if len(
             self.errors) <= PHYSICAL_MIN_POINTS else STRONG_PROBABILITY
+        # Few points cannot show that the prior is worse; more must show that it is not.
         limit = MIN_ADVANTAGE if len(self.errors) <= PHYSICAL_FEW_POINTS else -MIN_ADVANTAGE
         return physical <= required * (physical + shrunken) or self.worse > limit
 
@@ -122,6 +124,7 @@ def camera_average(points: Points, scaling: Scaling, crs: str,
 def _averaged(measurements: Measurements, scaling: Scaling, crs: str,
               exponents: Exponents) -> CameraAverage | None:
     """Return the same; a fit, what describes it and its spread ask for one."""
+    # Each of these steps needs the one before; any of them may say that there is no prior.
     points = measurements.points
     variables = 3 if any(power[2] for power in exponents) else 2
     slopes = _slopes_on_ground(points, scaling, crs)
@@ -129,6 +132,7 @@ def _averaged(measurements: Measurements, scaling: Scaling, crs: str,
     if slopes is None or physical is None:
         return None
     weights = None if points.sigma is None else weights_of(points)
+    # Scaled heights in pixels: how far relief moves a point, by the slope of the image.
     height = scaling.ground_scale[2] * float(np.linalg.norm(slopes, axis=1).mean())
     averages = []
     shrunken = []
@@ -140,11 +144,13 @@ def _averaged(measurements: Measurements, scaling: Scaling, crs: str,
         posterior = polynomial_posterior(points.ground, points.image, powers, weights)
         if average_of_degree is None or posterior is None:
             return None
+        # Log of one half: the degrees 2 and 3 share the probability of polynomials.
         log = log_marginal_likelihood(posterior, average_of_degree.coefficients, variables, height,
                                       1.0 / scaling.image_scale) - np.log(2.0)
         averages.append(average_of_degree)
         shrunken.append((posterior, powers))
         logs.append(log)
+        # The evidence of the others when one point is left out.
         logs_without.append(log + posterior.held_out.log_evidence - posterior.cells.log_evidence)
     # What cameras say comes first, then both polynomials.
     logs_of_cameras, errors_of_cameras = physical.left_out()
@@ -154,7 +160,9 @@ def _averaged(measurements: Measurements, scaling: Scaling, crs: str,
         np.pad(each.coefficients, ((0, len(exponents) - len(each.coefficients)), (0, 0)))
         for each in averages]])
     effective = np.concatenate([physical.effective, [each.effective for each in averages]])
+    # Bayes' rule: shares in proportion to the marginal likelihoods.
     shares = normalized(np.concatenate([physical.log_evidence, logs]))[0]
+    # Shares of its own for each left-out point: its measurement must not weigh them.
     mean = _mean_without_each(logs_without_each, errors)
     others = _mean_without_each(logs_without_each[-len(averages):], errors[-len(averages):])
     return CameraAverage(np.einsum("p,pka->ka", shares, coefficients), mean,
@@ -172,11 +180,13 @@ def _slopes_on_ground(points: Points, scaling: Scaling, crs: str) -> FloatArray 
 
     In scaled units of the image. None where the ground is not known, or points lie on a line.
     """
+    # Metres, as kinds of cameras are told apart by the size of a pixel.
     positions = east_north_up(scaling, crs, points.ground)
     if positions is None or not PHYSICAL_MIN_POINTS <= len(points) <= PHYSICAL_MAX_POINTS:
         return None
     plane = np.column_stack([np.ones(len(points)), positions[0][:, :2]])
     slopes, _, rank, _ = np.linalg.lstsq(plane, points.image)
+    # Points on a line say nothing of the slope across it.
     return np.asarray(slopes[1:].T) if rank == plane.shape[1] else None
 
 
@@ -188,6 +198,7 @@ def _by_cameras(points: Points, scaling: Scaling, crs: str, exponents: Exponents
     """
     variables = 3 if any(power[2] for power in exponents) else 2
     pixel = 1.0 / scaling.image_scale
+    # Lengths of the columns of the slopes: resolution to the east and to the north.
     coarse, fine = sorted(np.linalg.norm(slopes, axis=0) / pixel)  # px per metre
 
     def has_size(sizes: tuple[float, float]) -> bool:
@@ -206,6 +217,7 @@ def _by_cameras(points: Points, scaling: Scaling, crs: str, exponents: Exponents
     priors = camera_priors(kinds, grid[0], scaled, exponents, grid[1], slopes, pixel)
     if priors is None:
         return None
+    # All kinds share the design of a cubic polynomial; only their priors differ.
     equations = CameraEquations(monomials(points.ground, exponents), points.image,
                                 weights_of(points))
     solutions = CameraSolutions(equations, priors, pixel)
@@ -259,6 +271,7 @@ class Physical(Estimator):
                                           columns_of_degree[:, lead:])
             predictions.append((predicted.image, predicted.variance, predicted.noise))
         image = fitted.model.project(fitted.adjustment.coefficients, ground)
+        # Law of total variance: within each prior, and between their means.
         variance = sum(
             (share * (own_variance + (mean - image) ** 2)
              for share, (mean, own_variance, _) in zip(average.shares, predictions, strict=True)),

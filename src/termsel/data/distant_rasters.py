@@ -67,12 +67,15 @@ class DistantRaster:
     def __init__(self, path: Path | str, helper: Helper) -> None:
         self._path = path
         self._helper = helper
+        # The folder and the options go with each question: both may differ in the other process.
         self._question = partial(Question, next(_numbers), os.getcwd(), _settings())
 
     def __getattr__(self, name: str) -> Any:
+        # Copying and pickling ask for such names before there is a helper.
         if name.startswith("_"):
             raise AttributeError(name)
         is_method, value = self._ask(_value_of, name)
+        # A method cannot be sent; its name is, with each call.
         if is_method:
             value = partial(self._ask, _result_of, name)
         setattr(self, name, value)  # a raster open for reading does not change
@@ -87,6 +90,7 @@ class DistantRaster:
                                hint="Is it complete, and an image? Is there enough memory?"
                                ) from error
         if isinstance(answer, Exception):
+            # The error as if it had been raised here, with what GDAL said as its cause.
             raise answer from cause
         return answer
 
@@ -103,6 +107,7 @@ def with_dataset(raster: Any, work: Callable[..., Answer], *values: Any) -> Answ
         values and what it returns travel between processes, so pickle must take them.
     *values : object
     """
+    # One call instead of a question for each attribute that the function reads.
     if isinstance(raster, DistantRaster):
         return raster._ask(work, *values)  # type: ignore[no-any-return]
     return work(raster, *values)
@@ -112,6 +117,7 @@ def with_dataset(raster: Any, work: Callable[..., Answer], *values: Any) -> Answ
 def open_distant(path: Path | str) -> Iterator[DistantRaster]:
     """Open a raster in another process; it raises the errors of `termsel.open_raster`."""
     raster = DistantRaster(path, _helper(allowed_drivers(), remote_allowed()))
+    # Errors of opening are raised before the body runs.
     raster._ask(OPEN, path)
     try:
         yield raster
@@ -131,10 +137,12 @@ def _settings() -> dict[str, Any]:
 @cache
 def _helper(drivers: tuple[str, ...], remote: bool) -> Helper:
     with ExitStack() as stack:
+        # The helper inherits the permission, which is a state of this process.
         if remote:
             stack.enter_context(allow_remote())
         helper = Helper(_CHILD.format(drivers=drivers, remote=remote),
                         program_environment(os.environ))
+    # A helper without its parent would wait for questions for ever.
     atexit.register(helper.end)
     HELPERS.append(helper)
     return helper

@@ -67,6 +67,7 @@ class Points(Tabular):
         self._check("point", ())
         n = len(self.ids)
         roles = tuple(self.roles) or ("",) * n
+        # The class is frozen; nobody has seen the object yet.
         object.__setattr__(self, "roles", roles)
         if n == 0:
             return
@@ -76,6 +77,7 @@ class Points(Tabular):
             if role and role not in ROLES:
                 raise TermselError(f"point {name!r} has the unknown role {role!r}",
                                    hint=f"Roles are {', '.join(ROLES)}, or blank.", ids=[name])
+        # Last, as it takes ids and shapes for granted.
         check_places(self.ground, self.ids)
 
     def _glance(self) -> tuple[str, Mapping[str, str]]:
@@ -131,6 +133,7 @@ class Lines(Tabular):
             return
         for values, in_words in ((self.image, "in the image"),
                                  (self.ground[..., :2], "on the ground")):
+            # A line of zero length has no direction, so no equation.
             short = (values[:, 0] == values[:, 1]).all(axis=1)
             if short.any():
                 name = self.ids[int(np.argmax(short))]
@@ -145,6 +148,7 @@ class Lines(Tabular):
     def _columns(self) -> dict[str, object]:
         (l1, s1), (l2, s2) = self.image.transpose(1, 2, 0)
         (x1, y1, z1), (x2, y2, z2) = self.ground.transpose(1, 2, 0)
+        # One number of a line: only the distance across it is measured.
         sigma = {} if self.sigma is None else {"sigma": self.sigma}
         return {"id": self.ids, "line1": l1, "sample1": s1, "line2": l2, "sample2": s2, "x1": x1,
                 "y1": y1, "z1": z1, "x2": x2, "y2": y2, "z2": z2, **sigma, **self.attributes}
@@ -157,6 +161,7 @@ class Lines(Tabular):
     @cached_property
     def feature(self) -> IntArray:
         """The feature each line is a piece of, counted from 0; shape (n,)."""
+        # Numbers in the order of first appearance, the same as in `features`.
         number = {name: i for i, name in enumerate(self.features)}
         return np.array([number[name] for name in self.ids], dtype=np.intp)
 
@@ -175,6 +180,7 @@ class Lines(Tabular):
         # Sums over the pieces of each feature, by their number.
         total = np.zeros((len(self.features), *values.shape[1:]))
         np.add.at(total, self.feature, values)
+        # Trailing axes of the values stay; the count has to be spread over them.
         count = np.bincount(self.feature, minlength=len(total))
         return np.asarray(total / count.reshape(-1, *[1] * (values.ndim - 1)))
 
@@ -242,6 +248,7 @@ class FeatureSet(Glance):
     image_origin: str = ""
 
     def __post_init__(self) -> None:
+        # Selections, results and messages name a feature by its id alone.
         shared_ids = set(self.points.ids) & set(self.lines.ids)
         if shared_ids:
             name = min(shared_ids)
@@ -275,6 +282,7 @@ class FeatureSet(Glance):
     def feature(self) -> IntArray:
         """The feature each point, then each line, belongs to; counted from 0, points first."""
         n = len(self.points)
+        # A point is a feature of its own; lines go on counting after the points.
         return np.concatenate([np.arange(n), n + self.lines.feature])
 
     @property
@@ -292,6 +300,7 @@ class FeatureSet(Glance):
         """Return the features whose mask is set, lines with all their pieces."""
         n = len(self.points)
         return self.with_(points=self.points.take(mask[:n]),
+                          # The mask is of features; each piece of a line takes that of its feature.
                           lines=self.lines.take(mask[n:][self.lines.feature])
                           if len(self.lines) else None)
 
@@ -314,6 +323,7 @@ class FeatureSet(Glance):
         TermselError
             If neither points nor lines have the column.
         """
+        # All pieces of a line have its attributes, so the first one's are enough.
         _, first = np.unique(self.lines.feature, return_index=True)
         tables = (self.points.attributes, rows_at(self.lines.attributes, first))
         return all_rows(tables, (len(self.points), len(first)), name)
@@ -341,6 +351,7 @@ class FeatureSet(Glance):
     def without_height(self) -> tuple[str, ...]:
         """Return the ids of features with an unknown height."""
         points = np.isnan(self.points.ground[:, 2])
+        # One vertex without a height leaves the line without one.
         lines: BoolArray = np.any(np.isnan(self.lines.ground[..., 2]), axis=1)
         return select(self.points.ids, points) + tuple(
             dict.fromkeys(select(self.lines.ids, lines)))

@@ -54,6 +54,7 @@ class Estimator(ABC):
     @property
     def options(self) -> Settings:
         """What the estimator was made with, by name."""
+        # A result stores them, so that the same estimator can be made again.
         return asdict(self) if is_dataclass(self) and not isinstance(self, type) else {}
 
     @abstractmethod
@@ -83,6 +84,7 @@ class Estimator(ABC):
 
         See `termsel.fitting.uncertainty`, which judges any coefficients.
         """
+        # Only the features in use tell how well the coefficients are known.
         used = fitted.scaled_control.take(fitted.used)
         image = fitted.model.predict(fitted.adjustment.coefficients, used, ground)
         return spread_of(fitted.model, used, fitted.terms, fitted.adjustment, ground, image,
@@ -102,6 +104,7 @@ class Estimator(ABC):
         Undetermined
             If the control without some feature does not determine the terms.
         """
+        # The closed form where there is one, else refits without each feature.
         errors, determined = fitted.errors_without_each
         if not determined:
             raise Undetermined("without one of its control features the fit is not determined",
@@ -110,6 +113,7 @@ class Estimator(ABC):
 
     def without_each(self, fitted: Fit) -> Iterator[Fit]:
         """Yield a fit of this estimator without each feature in use, by repeating it."""
+        # A copy each time: the mask of the fit itself must stay.
         for index in np.flatnonzero(fitted.used):
             used = fitted.used.copy()
             used[index] = False
@@ -152,6 +156,7 @@ class HeldOut:
     @classmethod
     def of(cls, errors: FloatArray, features: FeatureSet) -> HeldOut:
         """Return the errors of features in use, with the sums of their squares."""
+        # A feature of several vertices has the sum of their squares.
         squares = np.bincount(features.vertex_feature, weights=(errors**2).sum(axis=1))
         return cls(np.asarray(squares, dtype=np.float64), errors)
 
@@ -209,6 +214,7 @@ class Fit(Glance):
     method: Maker | None = None
 
     def _glance(self) -> tuple[str, Mapping[str, str]]:
+        # What is shown must be quick: no refits, no uncertainty.
         rmse = self.control_rmse()
         return f"Fit of {self.model.name}: {self.terms.sum()} terms, {self.used.sum()} features", {
             "RMSE of control": "-" if rmse is None else f"{rmse.total:.3g} px",
@@ -222,6 +228,7 @@ class Fit(Glance):
     @cached_property
     def _scaled_used(self) -> FeatureSet:
         """The features that the fit was made with, scaled."""
+        # A fit to all points shows the features of the selection it came from.
         original = self.original or self
         return self.scaling.features(original.control.take(original.used))
 
@@ -229,11 +236,13 @@ class Fit(Glance):
     def interpolation(self) -> Interpolation | None:
         """The prediction by control points, of a model that predicts by them alone."""
         used = self._scaled_used
+        # Points alone interpolate; a line has no single place to be met at.
         return None if len(used.lines) else self.model.interpolation(used)
 
     @property
     def determined(self) -> bool:
         """True if the control determines the coefficients, and an iteration to them converged."""
+        # Shrunken coefficients are determined by their prior, whatever the rank.
         return (self.adjustment.feasible and self.adjustment.converged
                 ) or not self.estimator.least_squares
 
@@ -261,6 +270,7 @@ class Fit(Glance):
     def with_coefficients(self, coefficients: FloatArray, estimator: Estimator = FIXED_COEFFICIENTS,
                           trace: float = np.nan) -> Fit:
         """Return the fit with coefficients that are not those of least squares."""
+        # Deviations and correlations are those of least squares, and say nothing of others.
         unknown = np.full(len(coefficients), np.nan)
         adjustment = replace(self.adjustment, coefficients=coefficients, sigma0=np.nan,
                              correlations=None, deviations=unknown, steps=None, converged=True)
@@ -288,11 +298,13 @@ class Fit(Glance):
         """
         points = self._ground_points(ground)
         image = self._computed(points)
+        # Behind the camera the formula gives a place as well, mirrored.
         image[self.unseen(points)] = np.nan
         return image
 
     def _computed(self, ground: FloatArray) -> FloatArray:
         """Return what the model gives for places (n, 3), be they behind the camera or not [px]."""
+        # In scaled coordinates throughout; pixels are made of the result alone.
         scaled = self.model.predict(self.adjustment.coefficients, self._scaled_used,
                                     self.scaling.ground(ground))
         return self._nan_where_unknown(self.scaling.pixels(scaled), ground)
@@ -316,6 +328,8 @@ class Fit(Glance):
         """
         points = self._ground_points(ground)
         coefficients = self.adjustment.coefficients
+        # A place is in front of the camera if its denominators have the sign of those of the
+        # control.
         denominators = self.model.denominators(coefficients, self.scaling.ground(points))
         if denominators is None:
             return np.zeros(len(points), dtype=bool)
@@ -349,6 +363,7 @@ class Fit(Glance):
         """
         points = self._ground_points(ground)
         visible = ~self.unseen(points)
+        # In front of the camera, and not so near the horizon that a pixel has no end on the ground.
         return visible if self.view is None else \
             visible & self.view.holds(self.scaling.ground(points))
 
@@ -358,6 +373,7 @@ class Fit(Glance):
         denominators = self.model.denominators(self.adjustment.coefficients,
                                                self._scaled_used.ground_vertices())
         assert denominators is not None
+        # The median, as some control may lie behind a pole of a poor model.
         return np.where(np.median(denominators, axis=0) < 0.0, -1.0, 1.0)
 
     @cached_property
@@ -394,8 +410,11 @@ class Fit(Glance):
         points = self._ground_points(ground)
         spread = original.estimator.spread(original, original.scaling.ground(points))
         misfit = original.missed_at(points)
+        # Variances add: of the coefficients, of what the model does not fit, of a measurement where
+        # one is asked for.
         variance = (spread.variance + misfit
                     + spread.noise * measured) * self.scaling.image_scale ** 2
+        # Errors of the heights of the control are errors of the model, too.
         variance += by_heights(original.control.take(original.used), original.scaling,
                                original.project, points)
         sigma = self._nan_where_unknown(np.sqrt(variance), points)
@@ -409,6 +428,7 @@ class Fit(Glance):
         image = self.scaling.image(self._computed(ground))
         finite = np.isfinite(image).all(axis=1)
         squares = np.full(image.shape, np.nan)
+        # In batches, as covariances between all places would fill the memory.
         for batch in np.array_split(np.flatnonzero(finite), len(ground) // MISFIT_BATCH + 1):
             squares[batch] = self.misfit.squares(image[batch])
         return squares
@@ -420,6 +440,8 @@ class Fit(Glance):
         A local model fits it itself, and lines tell too little of it.
         """
         control = self._scaled_used
+        # Lines have no residual along themselves; an interpolation has none at all; without
+        # redundancy all are zero.
         if len(control.lines) or self.model.interpolation(control) is not None \
                 or self.adjustment.redundancy <= 0:
             return None
@@ -432,6 +454,7 @@ class Fit(Glance):
         """Return ground points (n, 3); a plane model also takes them without heights."""
         points = np.asarray(ground, dtype=np.float64)
         if points.shape[1:] == (2,) and not self.model.uses_height:
+            # A plane model does not look at heights, so that they may be missing.
             return np.pad(points, ((0, 0), (0, 1)), constant_values=np.nan)
         if points.shape[1:] != (3,):
             raise TermselError(f"ground points have shape {points.shape}, expected (n, 3)",
@@ -440,6 +463,7 @@ class Fit(Glance):
 
     def _nan_where_unknown(self, image: FloatArray, ground: FloatArray) -> FloatArray:
         """Return figures at places, and NaN where a coordinate that the model uses is unknown."""
+        # The height counts only where the model uses it.
         coordinates = ground if self.model.uses_height else ground[:, :2]
         image[~np.isfinite(coordinates).all(axis=1)] = np.nan
         return image
@@ -447,6 +471,8 @@ class Fit(Glance):
     def locate(self, image: ArrayLike, heights: ArrayLike | Surface) -> FloatArray:
         """Return the ground points seen at image points (see `termsel.data.locate.locate`)."""
         centre, scale = self.ground_box()
+        # At least as far as the image reaches, so that the search for a place begins with the right
+        # size.
         scale = np.maximum(scale, reach(
             self.control, self.model.options, self.model.known_image()))
         return locate(self.project, image, heights, centre=centre, scale=scale)
@@ -454,6 +480,7 @@ class Fit(Glance):
     def ground_box(self) -> tuple[FloatArray, FloatArray]:
         """Return middle and half-range of the control, shapes (3,), in its own CRS."""
         scaling = self.scaling
+        # In the CRS of the coordinates, not in the one that the fit works in.
         box = scaling_of(replace(self.control, fit_crs="")) if scaling.fit_crs else scaling
         return np.array(box.ground_offset), np.array(box.ground_scale)
 
@@ -472,6 +499,7 @@ class Fit(Glance):
         default those of the control lines.
         """
         lines = self.control.lines if lines is None else lines
+        # The line n . x = rho: its distance from a vertex along the unit normal n.
         normal, rho = line_normals(lines)
         image = self._computed(lines.ground.reshape(-1, 3)).reshape(-1, 2, 2)
         distance = rho[:, None] - np.einsum("ia,iva->iv", normal, image)
@@ -502,6 +530,7 @@ class Fit(Glance):
             raise Undetermined("without one of its control features the fit is not determined",
                                hint="Measure more control, or choose a model with fewer terms.")
         n = len(self.control.points)
+        # Errors of features that are not in use stay those of the fit.
         points = self.errors(self.control.points)
         lines = self.line_errors()
         for index, errors in zip(np.flatnonzero(self.used), errors_each, strict=True):
@@ -527,12 +556,14 @@ class Fit(Glance):
     @cached_property
     def _held_out(self) -> HeldOut:
         if self.stored_held_out is not None:
+            # A result that was read has them, as the fit itself may not be repeatable.
             return self.stored_held_out
         return (self.estimator if self.method is None else self.method).held_out(self)
 
     @property
     def held_out_rmse(self) -> float:
         """RMSE of features in use, each held out [px], over points and vertices of lines."""
+        # Over all measured positions, so that lines count by their vertices.
         errors = len(self.control.points) + 2 * len(self.control.lines)
         return float(np.sqrt(self.held_out().squares.sum() / errors))
 
@@ -554,6 +585,7 @@ class Fit(Glance):
         """Errors of each feature in use by the fit without it, and whether all are determined."""
         if self.stored_held_out is not None and self.stored_held_out.errors is not None:
             errors = self.stored_held_out.errors
+            # Rows of one feature stand together, in the order of the features.
             owner = self.control.take(self.used).vertex_feature
             return tuple(errors[owner == i] for i in range(owner.max() + 1)), True
         interpolation = self.interpolation if self.estimator.repeatable else None
@@ -569,6 +601,7 @@ class Fit(Glance):
         selected = self.control.take(features)
         errors = [self.errors(selected.points)]
         if len(selected.lines):
+            # Which lines belong to selected features: several may be pieces of one.
             selected_lines = features[len(self.control.points):][self.control.lines.feature]
             errors.append(self.line_errors()[selected_lines].reshape(-1, 2))
         return np.concatenate(errors)
@@ -580,6 +613,7 @@ class Fit(Glance):
 
 @one_blas_thread
 def _errors_by_refitting(fitted: Fit) -> tuple[tuple[FloatArray, ...], bool]:
+    # One thread: systems are small, and threads of the linear algebra would wait for each other.
     refits = list(fitted.estimator.without_each(fitted))
     return (tuple(refit.control_errors(fitted.used & ~refit.used) for refit in refits),
             all(refit.determined for refit in refits))

@@ -86,10 +86,12 @@ class Cameras:
 
     def in_camera_axes(self, ground: FloatArray) -> FloatArray:
         """Return the ground (n, 3) in the axes of the cameras, (s, n, 3)."""
+        # q = R X + t.
         return np.asarray(ground @ self.rotation.transpose(0, 2, 1) + self.shift[:, None])
 
     def image(self, ground: FloatArray) -> FloatArray:
         """Return where the ground (n, 3) is seen, (s, n, 2); NaN behind a camera."""
+        # x = c + f (q1, q2) / q3.
         q = self.in_camera_axes(ground)
         depth = np.where(q[..., 2:] > 0.0, q[..., 2:], np.nan)
         return np.asarray(self.middle[:, None] + self.focal[:, None, None] * q[..., :2] / depth)
@@ -113,6 +115,7 @@ class Cameras:
         # turn x v = -v x turn: the columns are -v x e.
         slopes[..., :3] = np.cross(turned[:, :, None, :], by_place)
         slopes[..., 3:6] = by_place
+        # The focal length is exp of its unknown, so that it stays positive: dx / dlog f = f q / q3.
         slopes[..., 6] = focal * ratios
         slopes[..., 0, 7] = slopes[..., 1, 8] = 1.0
         return slopes
@@ -137,6 +140,8 @@ class Cameras:
 
     def moved(self, step: FloatArray) -> Cameras:
         """Return the cameras moved by steps of the unknowns (s, 9)."""
+        # Turns are small rotations in front of R, and the step of log f is limited: a quadratic
+        # model holds no further.
         return Cameras(rotations(step[:, :3]) @ self.rotation, self.shift + step[:, 3:6],
                        self.focal * np.exp(np.clip(step[:, 6], -1.0, 1.0)),
                        self.middle + step[:, 7:])
@@ -187,6 +192,7 @@ class Measured:
         """
         offsets = (cameras.middle - self.middle) / self.reach
         residuals = np.column_stack(
+            # Log f is normal; the middle has Cauchy's density, whose tails let it be far off.
             [np.log(cameras.focal / self.focal) / self.focal_spread, offsets])
         if np.isfinite(self.tilt):
             residuals = np.column_stack([residuals, cameras.rotation[:, 2, :2] / self.tilt])
@@ -196,6 +202,7 @@ class Measured:
         weights = np.ones_like(residuals)
         weights[:, 1:3] = 1.0 / (1.0 + (offsets**2).sum(axis=1, keepdims=True))
         tilted = residuals[:, self._tilts]
+        # The same of the tilt, whose loss 2 log(1 + x^2) has the weight 2 / (1 + x^2).
         weights[:, self._tilts] = 2.0 / (1.0 + (tilted**2).sum(axis=1, keepdims=True))
         return residuals, weights
 
@@ -213,6 +220,8 @@ class Measured:
         relative = squares / sigma**2
         if not np.isfinite(self.tails):
             return relative, np.ones_like(relative)
+        # Student's t: (nu + 2) log(1 + d^2 / nu) in two dimensions, and its weight (nu + 2) / (nu +
+        # d^2).
         return ((self.tails + 2.0) * np.log1p(relative / self.tails),
                 (self.tails + 2.0) / (self.tails + relative))
 
@@ -225,6 +234,7 @@ class Measured:
         _, weights = self.counting(squares, before)
         fewest = 0 if self.experience else 1
         freedom = self.experience + max(2 * len(residuals) - self.unknowns, fewest)
+        # A scaled inverse chi-squared prior counts as so many residuals of the usual size.
         total = self.experience * self.usual**2 + float((weights * squares).sum())
         return max(float(np.sqrt(total / freedom)), self.noise)
 
@@ -248,6 +258,8 @@ class Measured:
         count = len(cameras)
         residuals = self.image - cameras.image(self.ground)
         _, weights = self.counting(((residuals * self.weights) ** 2).sum(axis=2), sigma)
+        # Each row is divided by its deviation, so that the sum of squares is the cost to second
+        # order.
         factor = (rows * np.sqrt(weights))[:, :, None] * self.weights / sigma
         slopes = cameras.slopes(self.ground) * factor[..., None]
         residuals = residuals * factor
@@ -277,6 +289,7 @@ class Measured:
             finite = np.asarray(np.isfinite(residuals).all(axis=1))
             design = np.where(finite[:, None, None], design, 0.0)
             residuals = np.where(finite[:, None], residuals, 0.0)
+            # Levenberg (1944) and Marquardt (1963): normal matrices with a damped diagonal.
             normal = np.einsum("sri,srj->sij", design, design)
             size = np.einsum("sii->si", normal) + np.finfo(float).tiny
             right = np.einsum("sri,sr->si", design, residuals)
@@ -285,6 +298,7 @@ class Measured:
             stepped_costs = self.costs(stepped, rows, sigma)
             better = stepped_costs < costs
             gain = np.where(better, costs - stepped_costs, 0.0)
+            # Each camera goes on or stays on its own, as one that diverges must not stop others.
             cameras = _where(better, stepped, cameras)
             damping = np.clip(np.where(better, damping / 10.0, damping * 10.0), 1e-12, 1e8)
             finished = (gain < _CONVERGED_GAIN *
@@ -325,6 +339,7 @@ class Pinhole:
         """The projection of 1, X, Y and Z: numerators of line and sample, denominator, (3, 4)."""
         rotation = self.camera.rotation[0] * self.measured.unit
         columns = np.column_stack([self.camera.shift[0], rotation])
+        # Numerators are f q + c q3, the denominator is q3.
         middle = np.append(self.camera.middle[0], 0.0)
         return np.asarray(columns * np.array([[self.camera.focal[0]]] * 2 + [[1.0]])
                           + np.outer(np.append(middle[:2], 0.0), columns[2]))
@@ -338,6 +353,7 @@ class Pinhole:
         """Return factors of the covariance of what is seen of scaled places, (m, 2, 9)."""
         design, _ = self.measured.system(self.camera, np.ones((1, len(self.measured.image))),
                                          self.sigma)
+        # With R of the design's QR the covariance is (R' R)^-1, so that factors are slopes by R^-1.
         _, r = np.linalg.qr(design[0])
         slopes = self.camera.slopes(ground * self.measured.unit)[0]
         return np.asarray(np.linalg.solve(r.T, slopes.reshape(-1, 9).T).T.reshape(slopes.shape))
@@ -374,10 +390,13 @@ def cameras_of(measured: Measured) -> Cameras:
     everything = np.ones((1, len(measured.image)))
     candidates = _starts(measured)
     costs = np.zeros(len(candidates))
+    # Many starts for few steps, then the best for many: most starts lead to the same camera.
     for count, steps in ((_N_STARTS, _FIRST_STEPS), (_N_FURTHER, _STEPS)):
         candidates = candidates.take(np.arange(min(count, len(candidates))))
         candidates, costs = measured.descended(candidates,
                                                np.repeat(everything, len(candidates), axis=0),
+                                               # With a large noise, so that a blunder does not
+                                               # drive the first steps.
                                                10.0 * measured.noise, steps)
         candidates = candidates.take(np.argsort(costs, kind="stable"))
     return candidates.take(np.arange(np.isfinite(costs).sum()))
@@ -396,6 +415,7 @@ def camera_next_to(measured: Measured, camera: Cameras) -> Pinhole | None:
         sigma = measured.sigma_of(residuals, sigma)
     design, _ = measured.system(camera, everything, sigma)
     q = np.linalg.qr(design[0])[0]
+    # The trace of the projection onto the design, over the rows of measurements.
     effective = float((q[:2 * len(measured.image)] ** 2).sum())
     errors = _held_out_errors(measured, camera, sigma)
     return Pinhole(camera, measured, sigma, errors, residuals, effective)
@@ -404,6 +424,7 @@ def camera_next_to(measured: Measured, camera: Cameras) -> Pinhole | None:
 def _held_out_errors(measured: Measured, camera: Cameras, sigma: float) -> FloatArray:
     """Return the errors of points (n, 2) by the camera without each, found from that of all."""
     n = len(measured.image)
+    # Row i leaves point i out: all n cameras descend at once from that of all points.
     rows = 1.0 - np.eye(n)
     cameras, _ = measured.descended(camera.take(np.zeros(n, dtype=np.intp)), rows, sigma,
                                     _REFIT_STEPS)
@@ -417,6 +438,7 @@ def _measured(scaled: FeatureSet, scaling: Scaling) -> Measured | None:
     if metres is None or len(scaled.lines):
         return None
     points = scaled.points
+    # The same unit along all axes: a camera does not know that a map is scaled.
     unit = metres / metres[:2].max()
     weights = weights_of(points)
     size = scaled.image_size
@@ -463,6 +485,7 @@ def _starts(measured: Measured) -> Cameras:
 def _mirrored(measured: Measured) -> bool:
     """Return whether the image is mirrored: then lines, samples and the view are left-handed."""
     columns = np.column_stack([np.ones(len(measured.image)), measured.ground[:, :2]])
+    # The determinant of the affine map from ground to image tells its handedness.
     slopes = np.linalg.lstsq(columns, measured.image)[0][1:]
     return bool(np.linalg.det(slopes) < 0.0)
 
@@ -471,6 +494,7 @@ def _mirrored(measured: Measured) -> bool:
 def _grid(*, mirrored: bool) -> FloatArray:
     """Return rotations of cameras that look down by some angle in all directions, (s, 3, 3)."""
     rotations = []
+    # A grid that is finer than the steps converge from: 22.5 degrees in azimuth.
     for azimuth in _AZIMUTHS:
         for depression in _DEPRESSIONS:
             ahead = np.array([np.sin(azimuth), np.cos(azimuth), 0.0])
@@ -493,6 +517,7 @@ def rotations(turn: FloatArray) -> FloatArray:
     zero = np.zeros_like(x)
     cross = np.stack([np.stack([zero, -z, y], 1), np.stack([z, zero, -x], 1),
                       np.stack([-y, x, zero], 1)], axis=1)
+    # Rodrigues: R = 1 + sin(a) K + (1 - cos(a)) K^2.
     return np.asarray(np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross)
 
 

@@ -106,6 +106,7 @@ def picture_of(image: Path) -> Picture:
     """Return what a VRT must know of an image; raises TermselError if GDAL cannot read it."""
     with open_raster(image) as raster:
         thematic = _has_classes(image)
+        # rasterio has no names of categories and no lookup tables.
         described = _described(raster)
         bands = tuple(_band(raster, number, element, thematic)
                       for number, element in zip(raster.indexes, described, strict=True))
@@ -114,6 +115,7 @@ def picture_of(image: Path) -> Picture:
 
 def _described(raster: Any) -> Sequence[ElementTree.Element]:
     """Return what GDAL says of each band in a VRT: rasterio does not tell names of categories."""
+    # The copy must be made where the dataset is open, in the other process.
     text = with_dataset(raster, _text_of_vrt)
     return ElementTree.fromstring(_CONTROL.sub("", text)).findall("VRTRasterBand")
 
@@ -124,6 +126,7 @@ def _text_of_vrt(raster: Any) -> str:
     from rasterio.shutil import copy
 
     with rasterio.MemoryFile(ext=".vrt") as memory:
+        # GDAL writes all that it knows of an image into a VRT.
         copy(raster, memory.name, driver="VRT")
         return str(memory.read().decode("utf-8", errors="replace"))
 
@@ -134,6 +137,7 @@ def _band(raster: Any, number: int, element: ElementTree.Element, thematic: bool
 
     table = _table(element.findall("ColorTable/Entry"))
     names = tuple(name.text or "" for name in element.findall("CategoryNames/Category"))
+    # An image of one bit has the type Byte; only this tag tells.
     bits = raster.tags(number, ns="IMAGE_STRUCTURE").get("NBITS", "")
     classes = thematic or any(names) or raster.tags(number).get("LAYER_TYPE") == "thematic"
     return Band(
@@ -146,6 +150,7 @@ def _band(raster: Any, number: int, element: ElementTree.Element, thematic: bool
 
 def _table(entries: Sequence[ElementTree.Element]) -> tuple[Colour, ...]:
     """Return the colours of a table without the black ones that GDAL fills it up with, but one."""
+    # GDAL fills a table up to 256 entries, mostly with black.
     used = len(entries)
     while used > 1 and _colour(entries[used - 2]) == _colour(entries[used - 1]) == _BLACK:
         used -= 1
@@ -174,6 +179,7 @@ def _masked(raster: Any, image: Path) -> bool:
     from rasterio.enums import MaskFlags
 
     flags = raster.mask_flag_enums
+    # No flag: the band has a mask that is neither of the dataset nor made of nodata or alpha.
     of_bands = [not kinds for kinds in flags]
     if any(of_bands):
         log.warning("Warning: the bands of %s have masks of their own; that of the first band is "
@@ -192,9 +198,11 @@ def expanded(picture: Picture) -> Picture:
         if not band.category:
             bands.append(band)
             continue
+        # Indices cannot be interpolated; colours can.
         table = np.array(band.table or GREY_OF_BITS)
         if band.nodata is not None and 0 <= band.nodata < len(table):
             table[int(band.nodata), 3] = 0
+        # One band instead of three where red, green and blue are the same.
         grey = bool((table[:, :3] == table[:, :1]).all())
         names = ["gray"] if grey else ["red", "green", "blue"]
         columns = [0] if grey else [0, 1, 2]

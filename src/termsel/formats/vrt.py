@@ -29,6 +29,7 @@ def picture_for(result: Result, image: Path | str | None) -> Picture:
     size_of_features = result.features.image_size
     if image is None:
         require_inside(result.features, size_of_features, None)
+        # The box of the fit, and whatever was measured outside it.
         bottom, right = np.maximum(result.fit.image_box()[1],
                                    result.features.image_vertices().max(axis=0))
         size = size_of_features or (max(1, int(bottom) + 1), max(1, int(right) + 1))
@@ -38,6 +39,7 @@ def picture_for(result: Result, image: Path | str | None) -> Picture:
                         "all features. Give --image FILE.", *size)
         return Picture(size)
     picture = picture_of(Path(image))
+    # Lines and samples of another size are of another image, or of a resampled one.
     if size_of_features is not None and picture.size != size_of_features:
         lines, samples = size_of_features
         raise other_image(picture.size, f"the image of the result {lines} and {samples}", image)
@@ -62,12 +64,14 @@ def vrt_text(
     rows = [f'<VRTDataset rasterXSize="{samples}" rasterYSize="{lines}">']
     for domain, items in (domains or {}).items():
         rows.append(f"  <Metadata domain={xml_attribute(domain)}>" if domain else "  <Metadata>")
+        # XML of any text: a description may have quotes and angles.
         rows += [f"    <MDI key={xml_attribute(key)}>{xml_text(value)}</MDI>"
                   for key, value in items.items()]
         rows.append("  </Metadata>")
     if gcps:
         rows.append(f"  <GCPList Projection={xml_attribute(crs)}>")
         rows += [
+            # GDAL counts from the corner of a pixel, termsel from its centre.
             f'    <GCP Id={xml_attribute(name)} Info="" Pixel="{sample + 0.5!r}" '
             f'Line="{line + 0.5!r}" X="{x!r}" Y="{y!r}" Z="{z!r}"/>'
             for name, (line, sample), (x, y, z) in zip(
@@ -80,6 +84,7 @@ def vrt_text(
         if source is not None:
             rows += _pixels_of(source, str(band.source), picture.size, band.lookup)
         rows.append("  </VRTRasterBand>")
+    # GDAL reads a mask as the band "mask,1" of its image.
     if picture.masked and source is not None:
         rows += ["  <MaskBand>", '  <VRTRasterBand dataType="Byte">',
                   *_pixels_of(source, "mask,1", picture.size),
@@ -103,6 +108,7 @@ def _said_of(band: Band) -> list[str]:
     lines = [f"<{name}>{xml_text(value)}</{name}>" for name, value in elements.items() if value]
     if band.nodata is not None:
         lines.append(f"<NoDataValue>{band.nodata!r}</NoDataValue>")
+    # Left out where they change nothing, as GDAL does.
     if (band.scale, band.offset) != (1.0, 0.0):
         lines += [f"<Offset>{band.offset!r}</Offset>", f"<Scale>{band.scale!r}</Scale>"]
     lines.append(f"<ColorInterp>{band.colour_in_vrt}</ColorInterp>")
@@ -120,6 +126,7 @@ def _said_of(band: Band) -> list[str]:
 def _pixels_of(name: str, number: str, size: tuple[int, int], lookup: Sequence[int] = (),
                ) -> list[str]:
     """Return the elements of where a band takes its pixels from, and what values become."""
+    # Only a complex source maps values; a simple one is faster.
     kind = "ComplexSource" if lookup else "SimpleSource"
     extent = f'xSize="{size[1]}" ySize="{size[0]}"'
     table = ",".join(f"{value}:{result}" for value, result in enumerate(lookup))

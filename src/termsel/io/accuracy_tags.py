@@ -43,6 +43,7 @@ class Prediction:
     @property
     def metres(self) -> tuple[float, float, float] | None:
         """RMSE and interval on the ground [m]."""
+        # The interval is scaled as the RMSE is: the size of a pixel is the same for both.
         size = self.pixel
         return None if size is None else (size * self.rmse, size * self.low, size * self.high)
 
@@ -69,6 +70,7 @@ def prediction_of(result: Result) -> Prediction | None:
     if expected is None or are_computed(record) or lattice_of(record) is not None:
         return None
     points = len(result.fit.control.points)
+    # An image of a block shares its control with others: its own cross-validation would not say it.
     if result.shared_sigma is not None:
         method = "by the adjustment of the block that the image is part of, from the scatter of " \
                  "its control and ties"
@@ -88,6 +90,7 @@ def accuracy_tags(result: Result) -> dict[str, str]:
     The first figure is the surer one, as in the summary. A final fit has used the independent
     points too, so theirs is the accuracy of the fit before.
     """
+    # One time for both tags, which different readers take.
     written_at = datetime.now(UTC)
     tags = {"TIFFTAG_SOFTWARE": f"termsel {__version__}", "ACCURACY_DATE": f"{written_at:%Y-%m-%d}",
             "TIFFTAG_DATETIME": f"{written_at:%Y:%m:%d %H:%M:%S}"}
@@ -109,6 +112,7 @@ def accuracy_tags(result: Result) -> dict[str, str]:
     tags["ACCURACY_POINTS"] = str(accuracy.image.n)
     low, high = accuracy.image.interval
     tags["ACCURACY_RMSE_PX_INTERVAL"] = f"{low:.4g} to {high:.4g} (90 %)"
+    # A result in a plane without a CRS has no metres.
     for unit, figures in (("PX", accuracy.image), ("M", accuracy.ground)):
         if figures is not None:
             tags[f"ACCURACY_RMSE_{unit}"] = f"{figures.total:.4g}"

@@ -73,6 +73,7 @@ def write_example(folder: Path) -> None:
     """
     require_rasterio()
     to_map = transformation(CRS, MAP_CRS)
+    # A new folder as a whole: half an example would fail in the middle of a tutorial.
     with new_folder(folder) as new:
         points = _scene(new)
         _other_forms(new, points, to_map(points.ground))
@@ -110,6 +111,7 @@ def _other_forms(folder: Path, points: Points, on_map: FloatArray) -> None:
     # Of QGIS: px from the corner of the first pixel, to the right and upwards.
     _write_rows(folder / "scene.points", [
         (f"{x:.3f}", f"{y:.3f}", f"{sample + 0.5:.3f}", f"{-line - 0.5:.3f}", 1, 0, 0, 0)
+        # Half a pixel from the centre to the corner, and lines upwards.
         for (x, y, _), (line, sample) in zip(
             on_map.tolist(), points.image.tolist(), strict=True)][:60],
         f"#CRS: {Known(MAP_CRS).to_wkt()}",
@@ -127,6 +129,7 @@ def _matches(folder: Path, to_map: Callable[[FloatArray], FloatArray]) -> None:
     board = BOARD(np.asarray(to_ground(middles))[:, :2]).reshape(shape).astype(np.uint8)
     _write_map(folder / "ortho.tif", board, west, top, GSD, MAP_CRS)
 
+    # A seed, so that the pages can quote what comes out.
     rng = np.random.default_rng(5)
     ground = corners()[rng.permutation(len(corners()))[:120]]
     image = SENSOR.project(ground) + rng.normal(0.0, 0.3, (len(ground), 2))
@@ -143,6 +146,7 @@ def _matches(folder: Path, to_map: Callable[[FloatArray], FloatArray]) -> None:
     _write_rows(folder / "matches.txt", [(f"{len(image)} {len(image)}",), *(
         (" ".join(map(str, (sample, line, *zeros))),)
         for line, sample in [*image.tolist(), *reference.tolist()])])
+    # AROSICS states the image where it believed it to be, and the shift from there.
     _write_rows(folder / "tiepoints.csv", [
         (i, sample + 0.5, line + 0.5, round(x - 20, 3), round(y + 10, 3), 20, -10)
         for i, ((line, sample), (x, y, _)) in enumerate(
@@ -152,6 +156,7 @@ def _matches(folder: Path, to_map: Callable[[FloatArray], FloatArray]) -> None:
 
 def _places(folder: Path) -> None:
     rng = np.random.default_rng(6)
+    # Within the image, not at its edge, where no control is near.
     image = rng.uniform(0.05, 0.95, (17, 2)) * SIZE
     positions = SENSOR.locate(image, 1800.0).round(6)
     ground = np.column_stack([positions, terrain()(positions).round(2)]).tolist()
@@ -199,6 +204,7 @@ def _batch(folder: Path) -> None:
         points = kept_features("termsel.simulate", f"image-{i}").points
         image = points.image.round(2)
         if i == 3:
+            # The blunder that the how-to guide of batches finds.
             image[4] += (-40.0, 25.0)
         write_points_csv(Points(points.ids, image, points.ground), folder / f"image-{i}.csv", CRS)
 

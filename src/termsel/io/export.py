@@ -23,6 +23,7 @@ log = logging.getLogger(__name__)
 def writer_of(to: str, **options: Any) -> Writer:
     """Return the writer of a format, without options that only other formats have."""
     writer: type[Writer] = registry().get("writers", to)
+    # An option of --image, say, is given to all formats, of which few have it.
     return writer(**{key: value for key, value in options.items()
                      if key not in _of_others(writer)})
 
@@ -52,6 +53,7 @@ def _left(writer: Writer, result: Result, path: Path) -> list[Path]:
     Writers of several files write that of the name last. So an export that was killed leaves such
     files, and can be repeated; a file of other content is somebody's own.
     """
+    # Only where the main file is missing: a complete export is never replaced unasked.
     siblings = [file for file in writer.files(path) if file != path and is_there(file)]
     if not siblings:
         return []
@@ -117,5 +119,6 @@ def export(result: Result, to: str, path: Path | str, *, overwrite: bool = False
     require_replaceable(files, reads=writer.options.values(), overwrite=overwrite)
     for file in files - {path}:
         refuse_link(file)  # only the first has a name that somebody typed
+    # The writer is left to make it whole or not at all.
     writer.write(result, path)
     return tuple(file for file in writer.files(path) if file.exists())

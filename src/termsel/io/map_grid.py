@@ -55,6 +55,7 @@ class MapGrid:
     @property
     def bounds(self) -> tuple[float, float, float, float]:
         """Least x and y, and largest x and y."""
+        # The lower right corner; the upper left one is in the transform.
         corner = self.transform @ (self.samples, self.lines)
         return self.transform.c, corner[1], corner[0], self.transform.f
 
@@ -75,6 +76,7 @@ def within(grid: MapGrid, bounds: tuple[float, float, float, float], crs: str) -
     first = max(int(np.floor(first_column)), 0), max(int(np.floor(first_row)), 0)
     last = (min(int(np.ceil(last_column)), grid.samples),
             min(int(np.ceil(last_row)), grid.lines))
+    # The parts do not overlap.
     if last[0] <= first[0] or last[1] <= first[1]:
         raise TermselError("the image shows nothing within the bounds of the map",
                            hint="Give other bounds.")
@@ -109,6 +111,7 @@ def _in_metres(result: Result) -> str:
         return horizontal(control_crs)
     geodetic = transformation(control_crs, geodetic_of(control_crs))
     geodetic_positions = geodetic(result.fit.control.ground_vertices())
+    # Across the date line, longitudes go on beyond 180.
     geodetic_positions[:, 0] = continuous(geodetic_positions[:, 0])
     if is_polar(geodetic_positions):
         return polar_crs(control_crs, float(np.median(geodetic_positions[:, 1])))
@@ -160,6 +163,7 @@ def grid_of_image(result: Result, crs: str, resolution: float | None = None, *,
         raise TermselError("the image is outside the raster of heights", file=dem,
                            hint="Give a raster that covers the image.")
     (first_line, first_sample), (last_line, last_sample) = result.fit.image_box()
+    # The spacing of the nodes, by the number of pixels between two of them.
     pixels = [np.nanmedian(line_spacing) * (_OUTLINE - 1) / max(last_line - first_line, 1.0),
               np.nanmedian(sample_spacing) * (_OUTLINE - 1) / max(last_sample - first_sample, 1.0)]
     # The finer direction decides, so that no detail of the image is lost.
@@ -169,6 +173,7 @@ def grid_of_image(result: Result, crs: str, resolution: float | None = None, *,
     if sizes.max() > _UNEVEN * sizes.min():
         # An oblique view: as many pixels as the image has on the ground that the map shows.
         of_image = _even_pixel(outline, (last_line - first_line) * (last_sample - first_sample))
+    # Two digits, as a resolution is a choice and no measurement.
     of_image = float(f"{of_image:.2g}")
     if resolution is None:
         resolution = of_image
@@ -199,6 +204,7 @@ def sees_all(result: Result, grid: MapGrid, height: float) -> bool:
     """Return whether all places of a map, at a height, are in front of the camera."""
     from pyproj import Transformer
 
+    # The edges included: the sky begins there.
     samples, lines = np.meshgrid(np.linspace(0.0, grid.samples, _OUTLINE),
                                  np.linspace(0.0, grid.lines, _OUTLINE))
     x, y = grid.transform @ (samples.ravel(), lines.ravel())

@@ -433,12 +433,14 @@ def _features_of_files(points: Path | None, lines: Path | None, *, areas: Path |
     if points is None and lines is None and areas is None:
         raise TermselError("no file of features is given",
                            hint="Give --points FILE, --lines FILE or --areas FILE.")
+    # What the user states holds for all files, and is needed before the first is read.
     stated = stated_crs(crs)
     paths = list(dict.fromkeys(path for path in (points, lines, areas) if path is not None))
     if len(formats) > len(paths):
         raise TermselError(f"there are {len(formats)} --format for "
                            f"{counted(len(paths), 'file')}",
                            hint="Give --format once per file, that of the points first.")
+    # Without a format for a file, None lets its content tell.
     reader_of = {path: find_reader(path, readers, name, options)
                  for path, name in zip_longest(paths, formats)}
     _refuse_idle(options, reader_of)
@@ -453,6 +455,7 @@ def _features_of_files(points: Path | None, lines: Path | None, *, areas: Path |
             continue
         counts = {"points": len(features.points), "lines": len(features.lines)}
         if either and any(counts.values()):
+            # A file that may hold either kind is judged by what it holds.
             continue
         _check_kinds(path, counts, {"points": path == points, "lines": path == lines})
     measured = FeatureSet(
@@ -462,6 +465,7 @@ def _features_of_files(points: Path | None, lines: Path | None, *, areas: Path |
         next((features.image_size for features in sets.values() if features.image_size), None),
         image_origin=next((features.image_origin for features in sets.values()
                            if features.image_origin), ""))
+    # Where the columns were declared, swapped axes are no mistake of a guess.
     _require_crs(measured, sets, not options.get("columns") and all(
         "columns" in reader.options for reader in reader_of.values()))
     if areas is not None:
@@ -469,6 +473,7 @@ def _features_of_files(points: Path | None, lines: Path | None, *, areas: Path |
     try:
         check_ground(measured)
     except TermselError as error:
+        # The first feature at fault names the file in which it is.
         path = next(path for path, features in sets.items() if error.ids[0] in features.ids)
         raise reader_of[path].placed(error, path) from error
     _say_doubts(measured)
@@ -542,6 +547,7 @@ def _refuse_idle(options: Mapping[str, Any], reader_of: Mapping[Path, Reader]) -
 def _check_kinds(path: Path, counts: dict[str, int], expected: dict[str, bool]) -> None:
     present = [kind for kind, count in counts.items() if count]
     for kind in counts:
+        # The counts are of what the file holds, the expected kinds of what it was given as.
         if expected[kind] and kind not in present:
             raise TermselError(f"the file has no {kind}", file=path, hint=" ".join(
                 f"It has {found_kind}: give it with --{found_kind}."
@@ -557,6 +563,7 @@ def _agreed_crs(sets: dict[Path, FeatureSet], stated: str | None) -> str:
     agreed = stated
     source = "--crs"
     for path, features in sets.items():
+        # A .prj file is looked for only where nobody says the CRS.
         crs = features.crs or ("" if stated else crs_next_to(path))
         if not crs:
             continue

@@ -150,6 +150,7 @@ def rectify(
         refuse_empty_giant(raster)
     pixels = map_pixels(picture, resampling, nodata)
     result = result.of_image(picture.size)
+    # The level of the ground where no raster is given: the middle of the control.
     level = float(result.fit.ground_box()[0][2]) if height is None else height
     with ExitStack() as stack:
         folder = stack.enter_context(private_folder())
@@ -158,6 +159,7 @@ def rectify(
             grid = within(grid, bounds, result.features.crs)
         surface = stack.enter_context(surface_of(dem, result.features.crs, level))
         source, options = _source(result, pixels.plain, folder / "scene.vrt", surface, grid)
+        # Positions are computed here where GDAL's warper cannot: by any model but an RPC.
         positions = None if options is not None else MapPositions(
             result.fit, grid.crs, surface, footprint_of(result, level))
         options = options or {}
@@ -192,6 +194,7 @@ def _source(result: Result, picture: Picture, vrt: Path, surface: Dem | float, g
     # An RPC takes ellipsoidal heights in metres, whatever those of the control are.
     to_ellipsoidal = to_wgs84(result.features.crs)
     if not isinstance(surface, Dem):
+        # At the middle of the control, since ellipsoid and geoid are parallel over one image.
         middle = np.append(result.fit.ground_box()[0][:2], surface)
         return vrt, {"RPC_HEIGHT": float(to_ellipsoidal(middle[None])[0, 2])}
     dem = gdal_name(surface.path)
@@ -211,6 +214,7 @@ def _say_level(result: Result, surface: Dem | float) -> None:
     log.warning("Warning: without a raster of heights (--dem) the ground is taken as level, at the "
                 "height %.6g.", surface)
     positions = places_of(result.fit)
+    # Where each place would be seen if the ground were level.
     level = positions * [1, 1, 0] + [0, 0, surface]
     say_deviation("map", result.fit, positions, result.fit.project(level),
                   ", at the heights of the control")
@@ -219,6 +223,7 @@ def _say_level(result: Result, surface: Dem | float) -> None:
 def _rpc(result: Result) -> RpcFit | None:
     """Return the RPC of a result, or None if it is too far from the model."""
     try:
+        # Why there is no RPC matters only to those who look for it.
         rpc_fit = rpc_of(result.fit)
     except TermselError as error:
         log.info("%s.", error.what)

@@ -55,6 +55,7 @@ def require_replaceable(files: Iterable[Path], *, reads: Iterable[object] = (),
     >>> termsel.require_replaceable([Path("new.csv")], reads=["old.csv"])
     """
     files = list(files)
+    # What does not exist yet cannot be lost.
     existing = [file for file in files if is_there(file)]
     for file in files:
         _require_writable(file, makes_folder)
@@ -75,12 +76,14 @@ def require_replaceable(files: Iterable[Path], *, reads: Iterable[object] = (),
 
 def _require_writable(file: Path, makes_folder: bool) -> None:
     """Refuse the name of a file that cannot be written: no folder, no permission, another kind."""
+    # Through links, as the file behind them is the one that is written.
     target = Path(os.path.realpath(file))
     if os.path.lexists(target) and not target.is_file():
         raise TermselError("this is not an ordinary file and cannot be replaced", file=file,
                            hint="Give the name of a file to write.")
     folder = target.parent
     if makes_folder:
+        # The folder itself is made, if the first one above it that exists allows it.
         folder = next(parent for parent in target.parents if os.path.lexists(parent))
     if not folder.is_dir():
         why = "there is no such folder" if not os.path.lexists(folder) else \
@@ -95,6 +98,7 @@ def _require_writable(file: Path, makes_folder: bool) -> None:
 
 def _sources(reads: Iterable[object]) -> Iterator[Path]:
     """Yield the files that are there, with those of results and the sources of VRTs."""
+    # To the end of the chain: a VRT of a VRT, a folder of results.
     waiting = [Path(read) for read in reads if isinstance(read, str | Path)]
     visited: set[Path] = set()
     while waiting:
@@ -117,6 +121,7 @@ def _sources(reads: Iterable[object]) -> Iterator[Path]:
 
 def _is_vrt(path: Path) -> bool:
     if not path.is_file():
+        # A folder has no content to look into.
         return False
     try:
         with path.open("rb") as file:

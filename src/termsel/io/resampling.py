@@ -73,6 +73,7 @@ def resampled(window: ImageWindow, positions: FloatArray, resampling: str, size:
     visible = np.zeros(values.shape, dtype=bool)
     # Sums of whole numbers are rounded, and kept in the range of their type.
     integral = window.values.dtype.kind in "iu"
+    # A value below or above the range would wrap around.
     low = -np.inf
     high = np.inf
     if integral:
@@ -80,6 +81,7 @@ def resampled(window: ImageWindow, positions: FloatArray, resampling: str, size:
         high = float(np.iinfo(window.values.dtype).max)
     # Where pixels of the map are larger than those of the image, kernels are widened by as much.
     stretch = np.maximum(_stretch(positions), 1.0)
+    # A few per cent of difference are no reason to blur the map.
     stretch[stretch <= ALIKE] = 1.0
     if kernel == KERNELS["nearest"]:
         stretch[:] = 1.0
@@ -92,6 +94,7 @@ def resampled(window: ImageWindow, positions: FloatArray, resampling: str, size:
 
 def reach(resampling: str, positions: FloatArray) -> FloatArray:
     """Return how far kernels reach around positions, along lines and samples [px]."""
+    # One pixel more, as positions lie between pixels.
     return RADII[KERNELS[resampling]] * np.maximum(_stretch(positions), 1.0) + 1.0
 
 
@@ -111,6 +114,7 @@ def _bounds_inside(positions: Any, lines: int, samples: int, bounds: Any) -> Non
         for j in range(positions.shape[1]):
             line = positions[i, j, 0]
             sample = positions[i, j, 1]
+            # From the outer edge of the first pixel to that of the last.
             if -0.5 <= line < lines - 0.5 and -0.5 <= sample < samples - 0.5:
                 bounds[0] = min(bounds[0], line)
                 bounds[1] = min(bounds[1], sample)
@@ -125,6 +129,7 @@ def _stretch(positions: FloatArray) -> FloatArray:
     """Return how many pixels of the image a step on the map takes, along lines and samples."""
     squares = np.zeros(2)
     for axis in (0, 1):
+        # Every eighth position is enough: neighbouring tiles are alike.
         steps = np.diff(positions[::8, ::8], axis=axis) / 8.0
         finite = np.isfinite(steps).all(axis=-1)
         if finite.any():
@@ -216,6 +221,7 @@ def _filled(pixels: Any, has_data: Any, first_line: int, first_sample: int, posi
                             weight = of_line[r - top] * of_sample[c - leftmost]
                             weights += weight
                             total += weight * pixels[band, r, c]
+                # At an edge the kernel may have almost no pixels below it.
                 if weights > _LEAST:
                     value = total / weights
                     if integral:
@@ -232,6 +238,7 @@ def _filled_complex(pixels: Any, has_data: Any, first_line: int, first_sample: i
                     lines: int, samples: int, integral: bool, low: float, high: float, values: Any,
                     visible: Any) -> None:
     """Fill both parts of complex pixels."""
+    # Kernels are real, so that both components are interpolated alike.
     for component in range(2):
         component_pixels = pixels.real.copy() if component == 0 else pixels.imag.copy()
         component_values = np.zeros(values.shape, dtype=component_pixels.dtype)

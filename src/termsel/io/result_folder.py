@@ -67,6 +67,7 @@ def claimed(folder: Path, *, overwrite: bool = False) -> Iterator[None]:
     not those of a result.
     """
     try:
+        # The folder may be there: only a result or a study in it is refused.
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise TermselError(f"cannot make the folder {folder}: {error.strerror}",
@@ -83,6 +84,7 @@ def _refuse_taken(folder: Path, overwrite: bool) -> None:
     if is_there(folder / JOURNAL):
         raise TermselError("this is the folder of a study, which takes no further result",
                            file=folder, hint="Choose another --out.")
+    # A file of such a name without a record was written by somebody else.
     for name in (POINTS, LINES, RESIDUALS, SUMMARY, CERTIFICATE):
         if is_there(folder / name) and not is_there(_place(folder, RECORD)):
             raise TermselError("the result would replace this file, which is not part of a result",
@@ -108,6 +110,7 @@ def write_result(result: Result, folder: Path) -> None:
             for name, content in files.items():
                 (new / name).write_bytes(content)
                 sync(new / name)
+            # As permissive as the folder that the user made.
             shutil.copymode(folder, new)
             new.rename(folder / _PENDING)
             sync(folder)
@@ -153,6 +156,7 @@ def _cannot_write(folder: Path, error: OSError) -> TermselError:
 
 def _place(folder: Path, name: str) -> Path:
     """Return where a file of the result is: pending, if that is not yet put in place."""
+    # A result that was interrupted while it was put in place is read from where it is complete.
     pending = inside(_pending(folder), name)
     return pending if is_there(pending) else inside(folder, name)
 
@@ -201,6 +205,7 @@ def read_result(folder: Path | str) -> Result:
         _refuse_changed(record.checksums is None or record.checksums.record != of_record(content),
                         path)
         features = _read_features(Path(folder), record)
+        # A record that was edited, and features that do not go with it, are refused alike.
         seals = record.checksums
         files = [
             name for name, table in ((POINTS, features.points), (LINES, features.lines))
@@ -210,6 +215,7 @@ def read_result(folder: Path | str) -> Result:
                         path.with_name(" or ".join(files)))
         with options_of_file(Path(folder) / RECORD):
             return result_from(record, features)
+    # The file that was read is named where nothing nearer is.
     except TermselError as error:
         raise (error if error.file is not None else located(error, path)) from error
 

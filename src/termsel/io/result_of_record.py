@@ -42,6 +42,7 @@ def record_from(content: Any) -> Record:
     except RecursionError:
         raise TermselError("this result is damaged: it is nested too deeply", hint=AGAIN) from None
     except (ValidationError, UnicodeEncodeError) as error:  # keys may be no text at all
+        # The message of the decoder ends with the key, as "$.rmse.control".
         problem, _, key = str(error).partition(" - at ")
         location = key.strip("`") or "$"
         raise TermselError(f"this result is damaged{_or_of_another(content)} at {location}: "
@@ -64,6 +65,7 @@ def result_from(record: Record, features: FeatureSet) -> Result:
     fitted = _fit(record, model, observations)
     _refuse_other_model(record, fitted, observations)
     return Result(
+        # What the record and a result have alike is handed on by name.
         **{name: getattr(record, name) for name in CARRIED},
         options=plain(record.options),
         plugins={role: plain(plugin) for role, plugin in record.plugins.items()},
@@ -90,6 +92,7 @@ def _baseline(row: BaselineRow) -> Baseline:
 def _model(record: Record) -> SensorModel:
     """Return the model of the selection."""
     model_type = _model_type(record.plugins.get("model"), record.model)
+    # A plugin may have changed its options since: that is said by its own error.
     declared: SensorModel = model_type(**record.options.model)
     model = declared.with_parameters(record.selection.parameters or {})
     if unknown := [name for name in record.coefficients if name not in model.terms]:
@@ -111,6 +114,7 @@ def _fit(record: Record, model: SensorModel, observations: Observations) -> Fit:
         control = _made_of(joint, set(joint.ids), how.features)
         used = np.ones(len(control), dtype=bool)
     scaling = Scaling.from_numbers(record.scaling)
+    # Coefficients are taken as they are, so that nothing is fitted again.
     fitted = fit_of_record(
         model, control, scaling, used, coefficients=record.coefficients,
         deviations=record.standard_deviations, figures=record.adjustment, how=how,
@@ -167,6 +171,7 @@ def _model_type(plugin: PluginRecord | None, name: str) -> type[SensorModel]:
     if name in (OfFunction.name, OfPlaneFunction.name):
         raise TermselError("this result is that of a function in Python, which no file holds",
                            hint="Call termsel.run again with the same features and function.")
+    # Classes of a session are known by their address alone.
     if plugin and plugin.class_ and not any(
             entry.answers_to(plugin.name) for entry in names.entries("models")):
         raise TermselError(
@@ -183,6 +188,7 @@ def _refuse_other_model(record: Record, fitted: Fit, observations: Observations)
     # Leave-one-out of what auto chose is told by what it predicts, not here.
     for role, rmse in rmse_from(record.rmse).items():
         current = current_rmse.get(role)
+        # Computed again from the features: rounding of the file is far below 1e-3.
         if rmse is not None and current is not None and not np.isclose(
                 rmse.total, current.total, rtol=1e-3, atol=1e-6, equal_nan=True):
             raise TermselError(

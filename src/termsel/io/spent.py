@@ -30,6 +30,7 @@ def with_spent(result: Result, folder: Path) -> Result:
     """
     if result.accuracy is None:
         return result
+    # What makes a fit: the same one over again does not spend its points twice.
     independent = _independent(result.features.points)
     this_fit = _fit_of(result.record)
     shown_points = set[str]()
@@ -42,6 +43,7 @@ def with_spent(result: Result, folder: Path) -> Result:
             earlier = _spent_before(record)
             if not another_fit and not earlier:
                 continue
+            # By id and coordinates, as other points may have the same id.
             shared = independent & _independent(PointsCsv().read(file.with_name(POINTS)).points)
             ids = {name for name, *_ in shared}
             # What an earlier result knew of its points holds for these, even if that one is gone.
@@ -93,6 +95,7 @@ def _fit_of(record: Record) -> tuple[Any, ...]:
     """
     selection = record.selection
     if record.strategy is not None:
+        # Auto fits to all control, so that its selection of features says nothing.
         selection = msgspec.structs.replace(selection, features=(), n_features=0)
     return (record.model, plain(selection), record.fit.estimator, record.fit.options,
             sorted(record.coefficients))

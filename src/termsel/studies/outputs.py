@@ -51,6 +51,7 @@ def write_outputs(study: Study, out: Path) -> list[Path]:
     """
     write_text(out / "study.csv", csv_of(with_notes_once(study.rows), study.columns))
     written = [out / "study.csv"]
+    # Both packages are needed, and neither is required.
     if find_spec("pandas") and find_spec("pyarrow"):
         with atomic_path(out / "study.parquet") as path:
             study.to_pandas().to_parquet(path, index=False)
@@ -64,6 +65,7 @@ def summary(study: Study) -> str:
     """Return what packages say of a study as text; without one, which package would."""
     texts = [output.summary(study) for output in parts("study") if output.summary]
     package = package_of_name("study")
+    # A study is complete without the package that makes statistics of it.
     return "".join(texts) or (
         f"{counted(len(study.records), 'cell')} finished. Statistics and tables come with the "
         f"package {package}: pip install ./plugins/{package}\n")

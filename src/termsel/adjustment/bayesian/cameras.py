@@ -90,9 +90,11 @@ def east_north_up(scaling: Scaling, crs: str,
     ground_crs = scaling.fit_crs or crs
     middle = np.array(scaling.ground_offset)
     ground = scaled * scaling.ground_scale + middle
+    # On other bodies, and in a plane of which nobody knows the map, satellites cannot be placed.
     if body_of(ground_crs) != EARTH or (ground_crs and plan_of(ground_crs, ground) is None):
         return None
     if ground_crs and is_in_degrees(ground_crs):
+        # East and north at the middle, and up as their product.
         lon, lat = np.radians(middle[:2])
         east = np.array([-np.sin(lon), np.cos(lon), 0.0])
         north = np.array(
@@ -101,6 +103,7 @@ def east_north_up(scaling: Scaling, crs: str,
         return offsets @ np.stack([east, north, np.cross(east, north)], axis=1), float(middle[1])
     offsets = ground - middle
     offsets[:, :2] *= metres_per_unit(ground_crs) or 1.0 if ground_crs else 1.0
+    # The drop of a sphere below its tangential plane: d^2 / (2 R).
     offsets[:, 2] -= (offsets[:, :2] ** 2).sum(axis=1) / (2 * EARTH_RADIUS)
     return offsets, np.nan
 
@@ -131,15 +134,18 @@ def _flights(rng: np.random.Generator, heading: FloatArray, latitude: float, til
              toward: FloatArray, altitude: FloatArray) -> _Flights:
     """Return flights seen from the middle under angles from the vertical, in a direction [rad]."""
     lat = np.radians(
+        # Latitudes that are not known are drawn as all else is.
         np.where(np.isnan(latitude), rng.uniform(-MAX_LATITUDE, MAX_LATITUDE, len(tilt)), latitude))
     ray = np.stack([np.sin(tilt) * np.sin(toward), np.sin(tilt) * np.cos(toward), np.cos(tilt)], 1)
     radius = EARTH_RADIUS + altitude
+    # The law of cosines in the triangle of the Earth's centre, the place and the satellite.
     along_ray = EARTH_RADIUS * np.cos(tilt)
     station = [0.0, 0.0, EARTH_RADIUS] + ray * (
         np.sqrt(along_ray**2 - EARTH_RADIUS**2 + radius**2) - along_ray)[:, None]
     up = station / radius[:, None]
     ahead = np.stack([np.sin(heading), np.cos(heading), np.zeros(len(tilt))], axis=1)
     ahead = _unit(ahead - up * (ahead * up).sum(axis=1, keepdims=True))
+    # Kepler: the square of the angular speed is G M / r^3.
     return _Flights(station, ray, np.cross(up, ahead), np.sqrt(GRAVITY_CONSTANT / radius**3),
                     np.stack([np.zeros(len(tilt)), np.cos(lat), np.sin(lat)], axis=1))
 
@@ -161,12 +167,14 @@ def scanner_views(positions: FloatArray, azimuth: float,
                        (ORBIT_ALTITUDES[1] - ORBIT_ALTITUDES[0]))
     ray = flights.ray
     x = np.broadcast_to([np.sin(azimuth), np.cos(azimuth), 0.0], (n, 3))
+    # The line of the scan, at right angles to the ray.
     x = _unit(x + ray * -(x * ray).sum(axis=1, keepdims=True))
     axes = np.stack([x, np.cross(-ray, x), -ray], axis=2)
 
     def view(time: FloatArray) -> FloatArray:
         rays = flights.sight(positions, time) @ axes
         slopes = rays[..., :2] / rays[..., 2:]
+        # Rates and their changes over the time of the image: a + b t^2 / 2, to second order.
         roll, pitch, spin = (rate[:, i, None] * time + change[:, i, None] * time**2 / 2
                              for i in range(3))
         return np.asarray(slopes - np.stack([pitch + spin * slopes[..., 1],
@@ -195,9 +203,11 @@ def radar_views(positions: FloatArray, azimuth: float, latitude: float, *,
     climb = RADAR_CLIMB * rng.standard_normal((n, 1))
 
     def view(time: FloatArray) -> FloatArray:
+        # Doppler by a difference of two ranges, and the range itself.
         distance, next_distance = (np.linalg.norm(flights.sight(positions, at), axis=2)
                                    for at in (time, time + FIRST_STEP))
         surface = EARTH_RADIUS + climb * time
+        # What puts a range on the ground is a sphere whose radius drifts.
         cosine = np.clip((orbit_radius ** 2 + surface ** 2 - distance ** 2) /
                          (2*orbit_radius*surface), -1.0, 1.0)
         sine = np.sqrt(1.0 - cosine**2) * orbit_radius / distance  # of ray and vertical
@@ -216,6 +226,7 @@ def frame_views(positions: FloatArray, azimuth: float) -> tuple[FloatArray, ...]
     rng = np.random.default_rng(0)
     n = N_CAMERAS
     extent = 2.0 * np.abs(positions[:, :2]).max()
+    # Heights are log-uniform between their ends, as they differ by a factor of ten.
     height = extent / 2 / FRAME_EXTENT[0] * (FRAME_EXTENT[0] / FRAME_EXTENT[1]) ** rng.uniform(
         0.0, 1.0, n)
     offset = FRAME_OFFSET * extent * rng.standard_normal((n, 2))
@@ -225,8 +236,10 @@ def frame_views(positions: FloatArray, azimuth: float) -> tuple[FloatArray, ...]
     x = positions @ np.array([east, north, 0.0]) - offset[:, :1]
     y = positions @ np.array([north, -east, 0.0]) - offset[:, 1:]
     drop = height[:, None] - positions[:, 2]
+    # The depth along the tilted view, to first order in the tilt.
     depth = drop + tilt[:, :1] * x + tilt[:, 1:] * y
     slopes = np.stack([x - tilt[:, :1] * drop, y - tilt[:, 1:] * drop], axis=-1) / depth[..., None]
+    # A place at the height of the camera, or above it, is in no photo.
     return (np.asarray(slopes[(depth > height[:, None] / 10).all(axis=1)]),)
 
 
@@ -236,6 +249,7 @@ def _views_at_sight(view: Callable[[FloatArray], FloatArray], positions: FloatAr
 
     Cameras that do not see all places are left out.
     """
+    # A satellite passes the ground at 7 km/s: the first guess of the time.
     guess = positions @ np.array([np.sin(azimuth), np.cos(azimuth), 0.0]) / GROUND_SPEED
     step = np.tile(np.where(np.abs(guess) < FIRST_STEP, FIRST_STEP, guess), (cameras, 1))
     time = np.zeros_like(step)
@@ -250,6 +264,7 @@ def _views_at_sight(view: Callable[[FloatArray], FloatArray], positions: FloatAr
             change = views[..., 0] - previous[..., 0]
             step = np.where(np.abs(change) > 1e-13, -views[..., 0] * step / change, 0.0)
     views[..., 0] = time
+    # Cameras for which some place is never seen are left out of the prior.
     valid = np.isfinite(views).all(axis=(1, 2)) & (np.abs(step).max(axis=1) < TIME_TOLERANCE) & (
         np.abs(time).max(axis=1) < MAX_TIME)
     return np.asarray(views[valid])

@@ -120,6 +120,7 @@ class GaussianProcess:
     @cached_property
     def probabilities(self) -> FloatArray:
         """Probability of each of the solutions."""
+        # Evidence by the sum of evidences, of which only ratios are known.
         return normalized(np.array([solution.log_evidence for solution in self.solutions]))[0]
 
     @property
@@ -151,6 +152,7 @@ class GaussianProcess:
     @cached_property
     def _likely(self) -> list[tuple[float, FieldSolutions]]:
         """Solutions that matter, with their probabilities."""
+        # What is exp(-MAX_LOG_RATIO) of the likeliest would not change a digit.
         highest = max(solution.log_evidence for solution in self.solutions)
         return [(share, solution)
                 for share, solution in zip(self.probabilities, self.solutions, strict=True)
@@ -188,6 +190,8 @@ class GaussianProcess:
         polynomial, fields = self._coefficients
         columns = monomials(ground, self.exponents)
         image = columns @ polynomial
+        # Fields live in the image: the distance between points there is what tells how alike they
+        # are.
         positions = columns[:, :len(self.to_image)] @ self.to_image
         for start in range(0, len(ground), GROUND_BATCH):
             batch = slice(start, start + GROUND_BATCH)
@@ -261,6 +265,7 @@ def fit_gaussian_process(points: Points, variables: int) -> GaussianProcess | No
     The polynomial is in 2 variables, X and Y, or 3, with Z. None if all points but any one do not
     determine an affine model with redundancy.
     """
+    # Three more than the affine coefficients of an axis: with fewer a field explains anything.
     if len(points) < variables + 3:
         return None
     return _cached_gaussian_process(Measurements.of(points), variables)
@@ -277,6 +282,7 @@ def _cached_gaussian_process(measurements: Measurements,
     columns = monomials(points.ground, exponents)
     to_image = _affine_to_image(points, exponents[:variables + 1])
     positions = columns[:, :variables + 1] @ to_image
+    # Of many points a hundred knots, spread evenly: a field between them is smooth.
     knots = farthest_points(positions, FIELD_KNOTS)
     weights = None if points.sigma is None else weights_of(points)
     scales = _scales_with_field(shrunk, len(knots))
@@ -288,6 +294,7 @@ def _cached_gaussian_process(measurements: Measurements,
             continue
         whitening = _whitening(knots, lengths)
         if lengths is None:
+            # Without a field the polynomial has closed forms of its own, which are quicker.
             grid = polynomial_posterior(points.ground, points.image, exponents, weights)
         else:
             if lengths == SPLINE_LENGTHS:  # next to affine functions alone, all of one scale
@@ -298,10 +305,12 @@ def _cached_gaussian_process(measurements: Measurements,
                 in_use=len(points), n_own=len(shrunk))
         if grid is None:
             return None
+        # Each pair of lengths shares its probability among the scales that are tried with it.
         prior = _prior_probability(lengths) * (spline_weight if lengths == SPLINE_LENGTHS else 1.0)
         solutions.append(FieldSolutions(
             grid, grid.cells.log_evidence + np.log(prior / len(grid.scales)), lengths,
             whitening))
+    # Where a spline is a course of its own, so is the affine image that it would smooth.
     if spline_weight > 0.0:
         affine = posterior(columns, points.image, order, weights, np.zeros((1, len(shrunk))),
                            len(points))
@@ -314,6 +323,7 @@ def _cached_gaussian_process(measurements: Measurements,
 
 def _spline_weight(points: int) -> float:
     """Return how far a spline is a course of its own for so many points in a plane, 1 to 0."""
+    # From certain at SPLINE_SURE_POINTS to none at SPLINE_MAX_POINTS, in a straight line.
     share = (SPLINE_MAX_POINTS - points) / (SPLINE_MAX_POINTS - SPLINE_SURE_POINTS)
     return float(np.clip(share, 0.0, 1.0))
 
@@ -326,6 +336,7 @@ def _scales_with_field(shrunk: IntArray, knots: int) -> FloatArray:
     order = shrunk.sum(axis=1)
     scales = []
     for fall in FIELD_FALLS:
+        # Coefficients shrink with their order, and those with heights more than others.
         rule = fall ** (order - 2.0) * FIELD_RELIEF ** shrunk[:, 2]
         for ratio in FIELD_RATIOS:
             scales.append([*rule, *np.full(knots, ratio)])
@@ -345,6 +356,7 @@ def _prior_probability(lengths: tuple[float, float] | None) -> float:
     """Return the probability of lengths before the points are looked at, up to a factor."""
     if lengths in (None, SPLINE_LENGTHS):
         return 1.0 - FIELD_PROBABILITY
+    # Equal lengths share nine tenths of the probability, unequal ones the rest.
     n_equal = sum(line == sample for line, sample in FIELD_LENGTHS)
     if lengths[0] == lengths[1]:
         return FIELD_PROBABILITY * (EQUAL_LENGTHS_PROBABILITY / n_equal)
@@ -367,6 +379,7 @@ def _whitening(knots: FloatArray, lengths: tuple[float, float] | None) -> FloatA
         return np.empty((0, 0))
     covariances = _covariances(knots, knots, lengths)[0]
     if lengths != SPLINE_LENGTHS:
+        # K = L L': coefficients by L^-1 are independent with variance one.
         return np.asarray(np.linalg.inv(np.linalg.cholesky(
             covariances + COVARIANCE_JITTER * np.eye(len(knots))).T).T)
     values, vectors = np.linalg.eigh(covariances)  # what affine functions fit has no variance
@@ -383,6 +396,7 @@ def _covariances(positions: FloatArray, knots: FloatArray,
     if lengths != SPLINE_LENGTHS:
         return _matern(positions, knots, lengths), np.ones(len(positions))
     affine = np.column_stack([np.ones(len(knots)), knots])
+    # A spline has no variance of affine functions: they are projected out of its kernel.
     residual_maker = np.eye(len(knots)) - affine @ np.linalg.pinv(affine)
     unit = np.trace(residual_maker @ kernel(knots, knots)) / len(knots)
     return affine_residuals(positions, knots) @ residual_maker / unit, residual_variance(
@@ -391,6 +405,7 @@ def _covariances(positions: FloatArray, knots: FloatArray,
 
 def _matern(a: FloatArray, b: FloatArray, lengths: tuple[float, float]) -> FloatArray:
     """Return the correlations between places, shape (len(a), len(b))."""
+    # Matern with nu = 3/2: (1 + r) exp(-r), r = sqrt(3) times the distance by lengths.
     r = squared_distances(a * np.sqrt(3.0) / lengths, b * np.sqrt(3.0) / lengths)
     np.sqrt(r, out=r)
     correlation: FloatArray = np.exp(-r)

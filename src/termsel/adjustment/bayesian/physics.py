@@ -128,6 +128,7 @@ class CameraPriors:
 
     def covariance_times(self, vectors: FloatArray) -> FloatArray:
         """Return the covariance of each prior by a vector of its own, (p, c)."""
+        # Cov v = w^2 C v + s^2 D^2 v, without the sum of the matrices.
         by_views = (self.covariances[self.view] @ vectors[..., None])[..., 0]
         return np.asarray(self.width[:, None] ** 2 * by_views
                           + self.size[:, None] ** 2 * self.departure**2 * vectors)
@@ -141,6 +142,7 @@ def camera_priors(kinds: Sequence[Kind], positions: FloatArray, scaled: FloatArr
     None if hardly any camera sees these. The slopes are those of line and of sample by metres to
     the east and to the north, (2, 2), in scaled units; `pixel` is that of a pixel.
     """
+    # In steps, so that views of points held out are found again.
     azimuth = AZIMUTH_STEP * round(np.degrees(float(np.arctan2(*slopes[0]))) / AZIMUTH_STEP)
     plane = np.column_stack([np.ones(len(positions)), positions[:, :2]])
     to_slopes = np.linalg.pinv(plane)[1:]
@@ -151,6 +153,7 @@ def camera_priors(kinds: Sequence[Kind], positions: FloatArray, scaled: FloatArr
     shares_of_views = []
     for kind, views, share in kinds:
         for seen in _cached_views(views, positions.tobytes(), azimuth, latitude):
+            # Fewer cameras than coefficients have a covariance of too low a rank.
             if len(seen) < 2 * len(exponents):
                 continue
             own_slopes = to_slopes @ seen                                        # (cameras, 2, 2)
@@ -171,6 +174,7 @@ def camera_priors(kinds: Sequence[Kind], positions: FloatArray, scaled: FloatArr
     departure = np.tile(pixel * DEPARTURE_FALL ** np.maximum(powers.sum(axis=1) - 2.0, 0.0)
                         * DEPARTURE_RELIEF ** powers[:, 2], 2)
     # Each of the views with all widths and sizes; the wider, the less likely.
+    # Widths in proportion to 1 / sqrt(1 + w^2).
     width_shares = 1.0 / np.hypot(1.0, PRIOR_WIDTHS)
     width_shares /= width_shares.sum() * len(DEPARTURE_SIZES)
     view, width, size = (each.ravel() for each in np.meshgrid(
@@ -199,6 +203,7 @@ class CameraEquations:
         self.weights = weights
         lead = _both_axes(columns[:, :N_FREE], weights)
         shrunken = _both_axes(columns[:, N_FREE:], weights)
+        # The complement of what free columns span: what remains does not depend on them.
         q, r = np.linalg.qr(lead, mode="complete")
         self.lead = r[:2 * N_FREE]
         self.basis = q[:, 2 * N_FREE:]
@@ -222,10 +227,12 @@ class CameraSolutions:
         columns = equations.shrunken
         by_views = columns @ priors.covariances @ columns.T                             # (v, r, r)
         by_departure = (columns * priors.departure**2) @ columns.T
+        # Eigenvectors of the prior's covariance of the observations make all noises diagonal.
         values, self._u = np.linalg.eigh(
             priors.width[:, None, None] ** 2 * by_views[priors.view]
             + priors.size[:, None, None] ** 2 * by_departure)
         noise = self.noise[:, None] ** 2
+        # 1 / (lambda + sigma^2), by prior, noise and direction.
         self._precision = 1.0 / (np.maximum(values, 0.0)[:, None] + noise)           # (p, a, r)
         beyond_mean = (equations.target - priors.means @ columns.T)[priors.view]
         self._along = (beyond_mean[:, None] @ self._u)[:, 0]                            # (p, r)
@@ -235,6 +242,7 @@ class CameraSolutions:
         self._logs = np.log(noise_share) - 0.5 * (
             len(columns) * np.log(2 * np.pi) - np.log(self._precision).sum(axis=2) + squares) \
             - np.log(np.abs(np.diag(equations.lead))).sum() + np.log(priors.share)[:, None]
+        # Minus half of n log 2 pi + log det + v' S^-1 v, with the priors of noise and of the views.
         # Of each prior: the logarithm of its marginal likelihood, and how likely each noise is.
         self.share, self.log_evidence = normalized(self._logs.T)
         self.share = self.share.T                                                       # (p, a)
@@ -258,6 +266,8 @@ class CameraSolutions:
         """
         rows = self._equations.basis @ self._u                                       # (p, 2n, r)
         n = len(self._equations.image)
+        # Of the inverse S^-1, the 2 by 2 blocks of each point; the error without it is their
+        # solution.
         line = rows[:, :n].swapaxes(1, 2)
         sample = rows[:, n:].swapaxes(1, 2)
         precision = self._precision
@@ -285,6 +295,7 @@ class CameraSolutions:
         turned = (self._u @ weighted[..., None])[..., 0] @ equations.shrunken          # (p, c)
         rest = (priors.means[priors.view] + priors.covariance_times(turned)).reshape(
             len(turned), 2, -1)
+        # The mean of the prior, and what the residuals add to it: mu + C A' S^-1 v.
         found = np.empty((len(rest), equations.columns.shape[1], 2))
         found[:, N_FREE:] = rest.swapaxes(1, 2)
         lead = equations.columns[:, :N_FREE]
@@ -313,6 +324,7 @@ class CameraSolutions:
         for axis in (0, 1):
             lead, rest = (_both_axes(part, np.ones((count, 2)))[axis * count:(axis + 1) * count]
                           for part in (columns[:, :N_FREE], columns[:, N_FREE:]))
+            # What free coefficients take of a place's columns.
             q = np.linalg.solve(equations.lead.T, lead.T).T
             free = rest - q @ equations.free_projections                               # (m, c)
             by_views = free @ priors.covariances                                     # (v, m, c)
@@ -322,6 +334,7 @@ class CameraSolutions:
                 along = spanned @ equations.shrunken.T @ self._u[prior]                # (m, r)
                 precision = self._precision[prior].T                                   # (r, a)
                 means = along @ (precision * self._along[prior, :, None])              # (m, a)
+                # The prior variance less what the points explain of it.
                 own = (spanned * free).sum(axis=1, keepdims=True) - along**2 @ precision
                 middle = means @ share
                 variance[prior, :, axis] = (q**2).sum(axis=1) * noise[prior] + (
@@ -363,6 +376,7 @@ def _both_axes(columns: FloatArray, weights: FloatArray) -> FloatArray:
     """Return the rows of line, then those of sample, each with columns of its own."""
     (n, k) = columns.shape
     rows = np.zeros((2 * len(columns), 2 * columns.shape[1]))
+    # A block of each axis on the diagonal.
     rows[:n, :k] = columns * weights[:, :1]
     rows[n:, k:] = columns * weights[:, 1:]
     return rows

@@ -32,6 +32,7 @@ def locked(folder: Path, hint: str = "Wait for it, or choose another --out.") ->
     refuse_links(folder)
     with _held(folder, hint) as file:
         try:
+            # Who is refused reads here whom it waits for.
             file.truncate(0)
             file.write(f"process {os.getpid()} on {platform.node() or 'this machine'} since "
                        f"{time.strftime('%Y-%m-%d %H:%M:%S')}".encode())
@@ -50,6 +51,7 @@ def _held(folder: Path, hint: str) -> Iterator[FileIO]:
         with _opened(folder, "a+b") as file:
             if not _free(file, folder):
                 continue
+            # A lock on a removed file would exclude nobody.
             if not _is_at(file, folder / LOCK):  # who held it before has removed this file
                 continue
             try:
@@ -70,6 +72,7 @@ def turn(path: Path, seconds: float) -> FileIO | None:
     with suppress(OSError), ExitStack() as files:
         file = files.enter_context(open(path, "a+b", buffering=0))
         while time.monotonic() < until:
+            # Polled, as no system lets a process wait for a lock and for a time at once.
             if _taken(file):
                 files.pop_all()  # it is closed by `end_turn`
                 return file
@@ -90,6 +93,7 @@ def holder(folder: Path) -> str | None:
     with _opened(folder, "r+b") as file:
         if _free(file, folder):
             return None
+        # Held by another process: it wrote its name at the beginning.
         file.seek(0)
         return file.read(200).decode(errors="replace").strip() or "another process"
 
@@ -120,6 +124,7 @@ def _taken(file: FileIO) -> bool:
     try:
         _lock(file)
     except OSError as error:
+        # Any other error is one of the file system, such as a share without locks.
         if error.errno in _HELD:
             return False
         raise

@@ -127,6 +127,7 @@ def is_single_file(path: Path | str) -> bool:
     with path.open("rb") as file:
         if _is_virtual(file.read(_HEAD)):
             return False
+    # Overviews, masks and auxiliary files belong to a raster by their name alone.
     return not any(_near(path))
 
 
@@ -140,6 +141,7 @@ def may_name_more(path: str) -> bool:
             head = file.read(_HEAD)
             if head.startswith(_WITH_DOMAINS):
                 return True
+            # Both byte orders of TIFF; any other plain format has no metadata that name files.
             if not head.startswith((b"II", b"MM")):
                 return False
             metadata = metadata_of_tiff(file)
@@ -165,6 +167,7 @@ def foreign_format(head: bytes) -> str:
 def refused_format(path: object, head: bytes, of: object = None) -> TermselError:
     """Return the error for a file of a driver that is off."""
     name = foreign_format(head)
+    # What is known is named, so that whoever trusts the file can turn its driver on.
     reason = (f"this is a raster of the format {name}, which termsel does not open" if name else
             "this is no raster of a format that termsel opens")
     hint = "Convert it: gdal_translate FILE map.tif."
@@ -215,12 +218,14 @@ class _Chain:
         if depth > _DEEPEST:
             raise self.error("its virtual rasters are nested too deeply",
                              "Convert it: gdal_translate FILE map.tif.")
+        # Set before the descent: a cycle of files ends here, with one read.
         self.reads[name] = 1  # of a file that names itself
         if _REMOTE.search(name):
             if remote_allowed():
                 return 1
             raise self.error(f"this refers to the remote source {cut(stated or name, 100)!r}, "
                              "which is refused", REMOTE_HINT)
+        # GDAL takes each of these texts where it takes the name of a file.
         if name.lstrip()[:1] == "<":
             self.reads[name] = self._of_text(name, "", depth)
         elif name.lstrip()[:1] == "{":
@@ -232,6 +237,7 @@ class _Chain:
         elif _ARCHIVE.match(name):
             self.reads[name] = self._of_archive(name, depth)
         elif name.startswith("/vsi"):
+            # The user may give such a name; a file may not.
             if depth or not name.startswith(("/vsi7z/", "/vsirar/", "/vsimem/")):
                 raise self.error(f"it refers to {cut(name, 100)!r}, which termsel does not open",
                                  "Save the raster as a single file: gdal_translate.")
@@ -243,7 +249,9 @@ class _Chain:
 
     def _require_allowed(self, name: str) -> None:
         """Refuse a name such as NETCDF:FILE:VARIABLE unless the driver is allowed."""
+        # GDAL compares prefixes without regard to case.
         prefix = name.partition(":")[0].casefold()
+        # Only what the user has allowed by name: no default driver needs such a name.
         if not any(driver.casefold() == prefix for driver in allowed_drivers()):
             raise self.error(f"it refers to {cut(name, 100)!r}, which termsel does not open",
                              DRIVER_HINT.format(name=name.partition(":")[0]))
@@ -255,6 +263,7 @@ class _Chain:
             raise self.error(f"it refers to the folder {cut(name, 100)!r}" if depth else
                              "this is a folder, expected a raster", "Give a file.")
         require_regular(path, self.start)
+        # Before the file itself: GDAL opens a mask or an overview even of a plain raster.
         self._require_neighbours(path, depth)
         try:
             with path.open("rb") as file:
@@ -263,6 +272,7 @@ class _Chain:
                     self._require_known(path, head)
                     self.plain.append(name)
                     return 1
+                # One byte more than the limit tells that there is more.
                 content = head + file.read(_LARGEST_XML + 1 - len(head))
         except OSError:  # GDAL says why
             return 1
@@ -373,11 +383,14 @@ class _Chain:
                     refuse_grids(stated, self.start)
         sources = [name.strip() for name in _named(root, folder)]
         self.elements += len(sources)
+        # A source that reads ten others costs ten reads wherever it is named.
         reads = sum(self.require_each(name, folder, depth + 1) for name in sources)
+        # A large mosaic has many sources, each read about once; nested ones multiply.
         if reads > max(_MOST_READS, 5 * self.elements):
             raise self.error("its virtual rasters multiply: a pixel is read from "
                              f"{reads:,} sources",
                              "Convert one of them to a plain raster: gdal_translate.")
+        # A virtual raster without sources costs a read, too.
         return max(reads, 1)
 
     def _refuse_code(self, root: ElementTree.Element) -> None:
@@ -415,6 +428,7 @@ def _near(path: Path) -> Iterator[str]:
     """Yield the files in the folder of a raster that have its name with another ending."""
     beginnings = _neighbour_beginnings(path)
     for entry in _entries(str(path.parent)):
+        # Without regard to case, as GDAL tries both, and some file systems do not tell them apart.
         if entry.casefold().startswith(beginnings) and entry != path.name:
             yield entry
 
@@ -433,6 +447,7 @@ def _named(root: ElementTree.Element, folder: str) -> Iterator[str]:
             continue
         if text and (tag in _FILE_TAGS or _may_be_name(text, folder)):
             yield text
+        # A schema location is an address that nobody opens.
         yield from (value for key, value in element.items()
                     if not key.endswith("schemaLocation") and _may_be_name(value, folder))
         waiting += element
@@ -444,6 +459,7 @@ def _may_be_name(text: str, folder: str) -> bool:
         return False
     if text.lstrip()[:1] in ("<", "{") or text.startswith("/vsi") or _REMOTE.match(text):
         return True
+    # Numbers are no names, though a file may be called 1.
     if "\0" in text or re.fullmatch(r"[-+.\d,\seE]*", text):
         return False
     # Pipes and devices are such names, too: GDAL would wait for them.
@@ -508,6 +524,7 @@ def _is_in_archive(name: str) -> bool:
 def _divided(name: str) -> tuple[Path | None, str]:
     """Return the archive of a name such as /vsizip/maps.zip/map.tif, and the name in it."""
     match = _ARCHIVE.match(name)
+    # The longest beginning of the name that is a file is the archive, as GDAL looks for it.
     path_in_disk = match[2] if match else ""
     # GDAL takes /vsizip/{ARCHIVE}/MEMBER as well, for archives of any ending.
     if path_in_disk.startswith("{"):
@@ -551,6 +568,7 @@ def _content(name: str, archive: Path, member: str) -> bytes | None:
                 return None if opened is None else opened.read(_LARGEST_XML + 1)
         with zipfile.ZipFile(archive) as packed:
             names = [member] if member else packed.namelist()
+            # GDAL opens an archive without the name of a member only if it has just one.
             if len(names) != 1:
                 return None
             with packed.open(names[0]) as file:

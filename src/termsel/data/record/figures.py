@@ -37,7 +37,9 @@ def rmse_interval(total: float, freedom: float) -> tuple[float, float]:
     The squares of independent errors have a chi-squared distribution of so many degrees of freedom:
     two of a point if its errors are normal and alike in line and sample, otherwise fewer.
     """
+    # freedom * s^2 / sigma^2 is chi-squared, so sigma = s * sqrt(freedom / quantile).
     tail = (1 - CONFIDENCE) / 2
+    # Below one degree the quantile is 0, and the interval has no upper end.
     freedom = max(freedom, 1.0)
     return (total * sqrt(freedom / chi_squared_quantile(1 - tail, freedom)),
             total * sqrt(freedom / chi_squared_quantile(tail, freedom)))
@@ -78,6 +80,7 @@ class RmseByRole(RecordPart, frozen=True):
     @property
     def by_role(self) -> dict[str, RoleRmse]:
         """The RMSE by the key of its role, with "leave-one-out" where it is known."""
+        # Absent, not null: most problems have no leave-one-out.
         of_roles = {"control": self.control, "check": self.check, "independent": self.independent}
         return of_roles if self.leave_one_out is None else {
             **of_roles, "leave-one-out": self.leave_one_out}
@@ -224,8 +227,10 @@ class Accuracy(RecordPart, frozen=True):
     @property
     def spent_count(self) -> int:
         """Number of points whose errors an earlier result showed under another fit."""
+        # No folder is known, or none has shown them.
         if not self.spent_by:
             return 0
+        # Records before 0.4 do not say which points: all count as seen.
         return self.image.n if self.spent is None else min(len(self.spent), self.image.n)
 
 
@@ -273,4 +278,5 @@ class AdjustmentFigures(RecordPart, frozen=True):
     @property
     def least_t(self) -> float:
         """The t from which on a coefficient is significant, for a redundancy of 1 or more."""
+        # Two-sided: a coefficient may be too large in either direction.
         return t_quantile(1 - SIGNIFICANT / 2, self.redundancy)

@@ -28,6 +28,7 @@ def with_advice(error: TermselError, header: Sequence[str], rows: Sequence[Seque
     `known_columns` is the column of each meaning that is known; the others are guessed, of points
     only, in all ways that fit. Nobody can declare the columns `fixed`, such as those of a geometry.
     """
+    # Readings are of points: a table of lines has too many ways.
     if "line" not in aliases or "x" not in aliases:
         return error
     readings = [{**reading, **known_columns}
@@ -35,6 +36,7 @@ def with_advice(error: TermselError, header: Sequence[str], rows: Sequence[Seque
     texts = [_columns_option(reading, header, aliases, fixed) for reading in readings]
     error.options["--columns"] = texts[0]
     error.hint = f"{error.hint or ''} Declare the columns: --columns {texts[0]!r}."
+    # No reading has all columns; a point read so could not be shown.
     if "?" in texts[0]:
         error.hint += " Put the column for each ?."
     elif readings[0].keys() - known_columns:
@@ -54,6 +56,7 @@ def _columns_option(columns: Mapping[str, int], header: Sequence[str], aliases: 
     for meaning in aliases:
         i = columns.get(meaning)
         if i is not None and i not in fixed:
+            # A number where a name would be ambiguous, or end the list.
             is_unambiguous = names.count(names[i]) == 1 and names[i] and "," not in names[i] \
                 and not names[i].isdecimal()
             pairs.append(f"{meaning}={names[i] if is_unambiguous else i + 1}")
@@ -77,6 +80,7 @@ def unknown_table(path: Path, expected: str, columns: str) -> TermselError | Non
     except TermselError as error:
         is_table = isinstance(error, BadText) or path.suffix.lower() in _SPREADSHEETS
         return error if is_table else None
+    # Some programs write the CRS into the first line, without a #.
     crs = _crs_of(cells.rows[0]) if cells.rows else ""
     all_rows = cells.rows[1:] if crs else cells.rows
     rows = [row for row in all_rows[:_ROWS] if len(row) == len(all_rows[-1]) <= WIDEST]
@@ -84,6 +88,7 @@ def unknown_table(path: Path, expected: str, columns: str) -> TermselError | Non
     if len(rows) < 3 or len(values) < 4:
         return None if path.suffix.lower() not in _SPREADSHEETS else TermselError(
             "no visible sheet has a table of points", file=path, hint=expected)
+    # A header has no numbers above columns of numbers.
     bare = any(i in _numbers(rows[:1]) for i in values)
     header = [str(i + 1) for i in range(len(rows[0]))] if bare else rows[0]
     by_name = {meaning: columns[0] for meaning, columns in matches(header, POINTS).items()
@@ -114,6 +119,8 @@ def _numbers(rows: Sequence[Sequence[str]]) -> dict[int, FloatArray]:
     for i, cells in enumerate(zip(*rows, strict=True)):
         try:
             signs, _ = decimal_signs({"": cells})
+            # Where the sign is open, either gives numbers in the same order, which is all that is
+            # asked.
             sign = signs[""] or (POINT if POINT in "".join(cells) else COMMA)
             values = read_numbers(cells, sign, may_be_blank=True, angle="x")
         except BadCell:
@@ -133,6 +140,7 @@ def _readings(rows: Sequence[Sequence[str]], width: int,
     rows = [row for row in rows[:_ROWS] if len(row) == width]
     numbers = {i: column for i, column in _numbers(rows).items() if i not in known_columns.values()}
     extra = _id_and_flags(numbers, known_columns, width)
+    # A constant column is no coordinate.
     taken_columns = extra.values()
     values = {i: column for i, column in numbers.items()
               if i not in taken_columns and np.nanmin(column) < np.nanmax(column)}
@@ -140,6 +148,7 @@ def _readings(rows: Sequence[Sequence[str]], width: int,
     if not coordinates and len(values) in (4, 5):
         return [extra | reading for reading in _of_pairs(values)]
     missing = [name for name in ("x", "y", "z", "sample", "line") if name not in known_columns]
+    # More columns than meanings: any assignment would be a guess at random.
     if len(values) != len(missing):
         return [extra]
     return [extra | reading for reading in _of_missing(missing, list(values))]
@@ -150,6 +159,7 @@ def _id_and_flags(numbers: Mapping[int, FloatArray], known_columns: Mapping[str,
     """Return the column of ids, and of the flags 0 and 1 of points that are in use."""
     extra: dict[str, int] = {}
     texts = [i for i in range(width) if i not in numbers and i not in known_columns.values()]
+    # Consecutive numbers in the first column are ids.
     first = next(iter(numbers), None)
     counts = first is not None and len(numbers) > 4 and np.array_equal(
         numbers[first] - numbers[first][0], np.arange(len(numbers[first])))
@@ -165,6 +175,7 @@ def _id_and_flags(numbers: Mapping[int, FloatArray], known_columns: Mapping[str,
 
 def _of_missing(missing: Sequence[str], free: Sequence[int]) -> list[dict[str, int]]:
     """Return readings of columns in the order x, y, z, sample, line, and with a pair exchanged."""
+    # In the order in which most tables have them.
     usual = dict(zip(missing, free, strict=True))
     readings = [usual]
     for first, second in (("sample", "line"), ("x", "y")):
@@ -183,6 +194,7 @@ def _of_pairs(values: Mapping[int, FloatArray]) -> list[dict[str, int]]:
     free = list(values)
     # Image and ground determine each other, a height is nearly free of both.
     z_last = len(free) == 5 and _explained(values, free[2]) > _explained(values, free[4])
+    # Columns of a pair are next to each other in every format that is known.
     image_first = free[:2], free[2:]
     ground_first = free[-2:], free[:-2]
     first_is_ground = _is_ground(values, free[:2])
@@ -199,6 +211,7 @@ def _of_pairs(values: Mapping[int, FloatArray]) -> list[dict[str, int]]:
         mirrored = ("x", "y", "z"), ("y", "x", "z")
         for axes, order in zip(mirrored, (names, names[::-1]), strict=True):
             reading = dict(zip(axes, ground, strict=False)) | dict(zip(order, image, strict=True))
+            # No latitude exceeds 90 degrees.
             if np.nanmax(np.abs(values[reading["y"]])) <= 90.0 \
                     or not _are_degrees(values, ground[:2]):
                 readings.append(reading)
@@ -224,12 +237,14 @@ def _upright(values: Mapping[int, FloatArray], image: Sequence[int],
 def _are_degrees(values: Mapping[int, FloatArray], pair: Sequence[int]) -> bool:
     """Return whether two columns can be longitude and latitude, in some order."""
     sizes = sorted(float(np.nanmax(np.abs(values[i]))) for i in pair)
+    # Where both are below 90, their order stays open.
     return sizes[0] <= 90.0 < sizes[1] <= 180.0
 
 
 def _is_ground(values: Mapping[int, FloatArray], pair: Sequence[int]) -> bool:
     """Return whether two columns look like degrees within a place, or like metres of a map."""
     size = max(np.nanmax(np.abs(values[i])) for i in pair)
+    # Map coordinates are beyond any image; degrees vary by less than an image does.
     return bool(size > 1e5 or (size <= 180 and max(np.ptp(values[i]) for i in pair) < 10))
 
 
@@ -239,6 +254,7 @@ def _explained(values: Mapping[int, FloatArray], i: int) -> float:
     complete = ~np.isnan(np.column_stack([table, values[i]])).any(axis=1)
     y = values[i][complete] - values[i][complete].mean()
     a = table[complete] - table[complete].mean(axis=0)
+    # Columns of degrees and of metres side by side would be near singular.
     a = a / np.maximum(np.abs(a).max(axis=0), 1e-300)
     residual = y - a @ np.linalg.lstsq(a, y, rcond=None)[0]
     return float(1 - residual @ residual / max(y @ y, 1e-300))

@@ -69,6 +69,7 @@ def sniff_table(path: Path, head: bytes, aliases: Aliases, columns: str = "",
     header = rows[header_row(rows, aliases, stated)]
     stated_columns = declared(header, stated)
     by_name = matches(header, aliases)
+    # Two columns could be named x and y in any table; three are hardly a coincidence.
     return (found_in(header, aliases, stated) >= 3
             and all(meaning in stated_columns or by_name[meaning] for meaning in required))
 
@@ -88,6 +89,7 @@ def _columns(path: Path | None, line: int | None, header: Sequence[str], rows: l
         return bool(by_name.get(meaning)) or meaning in stated
 
     has_sigma = is_there("sigma_line") or is_there("sigma_sample")
+    # A point has one height, a line two.
     heights = [meaning for meaning in aliases if meaning[0] == "z"]
     without_heights = flat and not any(by_name[meaning] for meaning in heights)
     for meaning in aliases:
@@ -96,9 +98,11 @@ def _columns(path: Path | None, line: int | None, header: Sequence[str], rows: l
         needs_other_sigma = has_sigma and meaning.startswith("sigma")
         may_be_missing = (meaning in OPTIONAL and not needs_other_sigma) \
             or (meaning in heights and without_heights)
+        # What the user says goes before what the header says.
         if meaning in stated:
             columns[meaning] = stated[meaning]
         elif candidates:
+            # Of two columns of ids any will do.
             if len(candidates) > 1 and meaning != "id":
                 if not _exclude_each_other(rows, candidates):
                     error = _ambiguous(path, line, header, meaning, candidates)
@@ -107,6 +111,7 @@ def _columns(path: Path | None, line: int | None, header: Sequence[str], rows: l
                 _merge_into_first(rows, candidates)
             columns[meaning] = candidates[0]
         elif not may_be_missing:
+            # Advice needs what is known, though some of it may be ambiguous.
             last_by_name = {name: indices[-1] for name, indices in by_name.items() if indices}
             raise with_advice(_missing(path, line, header, meaning, aliases), header, rows,
                               {**last_by_name, **stated}, aliases, fixed)
@@ -129,6 +134,7 @@ def _ambiguous(path: Path | None, line: int | None, header: Sequence[str], meani
 def _missing(path: Path | None, line: int | None, header: Sequence[str], meaning: str,
              aliases: Aliases) -> TermselError:
     """Return the error for a meaning that no column has."""
+    # Names of termsel itself; there are hundreds in other languages and of other programs.
     names = [name for name in aliases[meaning] if name in TAKEN] or aliases[meaning]
     blank = " Its cells may be blank." if meaning[0] == "z" else ""
     return TermselError(
@@ -139,6 +145,7 @@ def _missing(path: Path | None, line: int | None, header: Sequence[str], meaning
 
 def _exclude_each_other(rows: Sequence[Sequence[str]], columns: Sequence[int]) -> bool:
     """Return whether no row has values in two of the columns."""
+    # Ragged rows are refused later, with their line.
     if not rows or min(map(len, rows)) <= max(columns):
         return False
     return all(sum(bool(row[i].strip()) for i in columns) <= 1 for row in rows)
@@ -163,6 +170,7 @@ def _declared_crs(path: Path | None, comments: Mapping[int, str]) -> str:
                 name = normalise(value)
             except TermselError as error:
                 raise located(error, path, line) from error
+            # The same CRS twice is no contradiction, as where tables were joined.
             if crs not in ("", name):
                 raise TermselError(f"the CRS is {name} here, but {crs} in an earlier comment",
                                    file=path, line=line, hint="Remove one of them.")
@@ -195,11 +203,14 @@ def table_of(path: Path | None, cells: Cells, aliases: Aliases, stated: Mapping[
     for note in cells.notes:
         log.info("Note: %s.", note)
     crs = _declared_crs(path, cells.comments)
+    # An empty file, or comments alone.
     if not cells.rows:
         raise TermselError("the file has no table", file=path,
                            hint="It must begin with a header that names the columns.")
+    # One --columns may serve several files, of points and of lines.
     stated = {meaning: name for meaning, name in stated.items() if meaning in aliases}
     cells = without_header(cells, stated)
+    # Only text and sheets may have a title above their header; records have keys.
     first = 0 if cells.row_name != "line" else header_row(cells.rows, aliases, stated)
     header = cells.rows[first]
     rows = cells.rows[first + 1:]
@@ -217,6 +228,7 @@ def table_of(path: Path | None, cells: Cells, aliases: Aliases, stated: Mapping[
     if rows and set(map(len, rows)) != {width}:
         # Spreadsheets leave separators after the last cell.
         rows = [row if "".join(row[width:]).strip() else row[:width] for row in rows]
+        # The first bad row is named; the rest are likely bad for the same reason.
         i = next((i for i, row in enumerate(rows) if len(row) != width), None)
         comma = " Decimal commas require semicolons between columns." \
             if cells.delimiter == "," else ""
@@ -224,6 +236,7 @@ def table_of(path: Path | None, cells: Cells, aliases: Aliases, stated: Mapping[
             raise TermselError(f"the row has {len(rows[i])} cells, but the header has {width}",
                                file=path, line=lines[i],
                                hint=f"Every row needs one cell for each column.{comma}")
+    # A row of units below the header has a text in each of these columns.
     numbers = [i for meaning, i in column_of.items() if meaning not in USE]
     if rows and not any(any(map(str.isdigit, rows[0][i])) for i in numbers) \
             and any(rows[0][i].strip() for i in numbers) and len(rows) > 1:
@@ -234,6 +247,7 @@ def table_of(path: Path | None, cells: Cells, aliases: Aliases, stated: Mapping[
     if not rows:
         raise TermselError("there are no rows below the header", file=path, line=line,
                            hint="Add one row per feature.")
+    # Messages name a column as the file does, not by its meaning.
     column_names = {meaning: header[i].strip() for meaning, i in column_of.items()}
     columns = {}
     for meaning, i in column_of.items():
@@ -243,9 +257,11 @@ def table_of(path: Path | None, cells: Cells, aliases: Aliases, stated: Mapping[
     if "id" in aliases and "id" not in column_of:
         log.info("Note: %s has no column of ids, so its rows are called P1, P2, ... in order.",
                  path or "the table")
+    # Further columns are kept as texts: nobody has said what they mean.
     attributes = {}
     for name, i in _further(header, {*column_of.values(), *cells.fixed.values()}).items():
         texts = [unguarded(row[i].strip()) for row in rows]
+        # The file has decimal commas: then 1,5 is a number here, too.
         if COMMA in signs.values():
             texts = [text.replace(COMMA, POINT) if _DECIMAL_COMMA.fullmatch(text) else text
                      for text in texts]
@@ -258,6 +274,7 @@ def _further(header: Sequence[str], used: Collection[int]) -> dict[str, int]:
     columns: dict[str, int] = {}
     for i, cell in enumerate(header):
         name = unguarded(cell.strip())
+        # Names that differ in case alone would be one column in a GeoPackage.
         if i not in used and is_free(name) and name.casefold() not in map(str.casefold, columns):
             columns[name] = i
     return columns
@@ -272,6 +289,7 @@ def _signs(table: Table, decimal: str | None, *, points_only: bool) -> dict[str,
     except BadCell as error:
         raise table.error(error.what, error.row, error.column, error.hint) from None
     for meaning, sign in signs.items():
+        # Undecided: 1.234 could be 1234, which no default may guess.
         if not sign:
             row = next(i for i, cell in enumerate(columns[meaning])
                        if COMMA in cell or POINT in cell)
@@ -280,6 +298,7 @@ def _signs(table: Table, decimal: str | None, *, points_only: bool) -> dict[str,
                 "other column decides it", row, meaning, "State the decimal sign: --set "
                                                          "decimal=comma or decimal=point.")
     if resolved:
+        # Said, as a wrong sign is an error of a factor of a thousand.
         sign_name = "comma" if signs[resolved[0]] == COMMA else "point"
         log.info("Note: the decimal sign of %s is taken to be a %s, as %s; the other sign "
                  "separates thousands in the columns %s.", table.path or "the table", sign_name,

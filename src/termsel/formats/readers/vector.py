@@ -43,11 +43,13 @@ POINT_KINDS = {"Point": 0, "MultiPoint": 1}
 def is_vector(head: bytes) -> bool:
     """Return True for the first bytes of a GeoPackage, Shapefile or FlatGeobuf."""
     return (head.startswith((b"\0\0\x27\x0a", b"fgb\x03fgb"))
+            # The application id in the header tells a GeoPackage from other databases.
             or (head.startswith(b"SQLite format 3\0") and head[68:70] == b"GP"))
 
 
 def has_points(path: Path) -> bool:
     """Return whether a vector file has a layer of points; False where it cannot be read."""
+    # Nothing is offered that could not be read.
     if find_spec("pyogrio") is None:
         return False
     try:
@@ -68,13 +70,16 @@ def open_layer(path: Path, layer: str | None, kinds: Container[str],
     with requires("this requires", "pyogrio and shapely", GIS, path):
         import pyogrio.errors  # noqa: F401 (what the other process imports)
         from shapely import GEOSException, from_wkb
+    # In a process of its own: GDAL may crash on a damaged file.
     layers = apart(_layers, path)
     if not layers:
         raise TermselError("the file has no layers", file=path, hint="Is it complete?")
     if layer is None:
+        # A layer of mixed geometries has the kind Unknown: the next best.
         layer = next((key for key, kind in layers.items() if kind in kinds),
                      next((key for key, kind in layers.items() if kind == "Unknown"), None))
     meta, geometries, values = apart(_layer, path, layer, columns)
+    # A CRS may name grid files, which PROJ would open.
     refuse_grids(str(meta["crs"] or ""), path)
     try:
         return meta, None if geometries is None else from_wkb(geometries), values
@@ -106,12 +111,14 @@ def _only_allowed(path: Path) -> Iterator[Path]:
     from pyogrio.errors import DataLayerError, DataSourceError
 
     _turn_off_drivers()
+    # SQLite itself would run what a virtual table stands for.
     _refuse_queries(path)
     try:
         with private_folder() as folder, catch_warnings():
             simplefilter("ignore")  # what GDAL says of a file that it reads all the same
             yield _linked(path, folder)
     except (DataSourceError, DataLayerError, ValueError) as error:
+        # pyogrio has no class of its own for this.
         if "not recognized as being in a supported file format" in str(error):
             raise _foreign(path) from None
         raise _unreadable(path, error) from None
@@ -121,10 +128,12 @@ def _turn_off_drivers() -> None:
     """Leave GDAL, of which this process has its own, the drivers that may open vector files."""
     from pyogrio import core, list_drivers, set_gdal_config_options
 
+    # All but the allowed ones: a new version of GDAL may have new drivers.
     refused = [name for name in list_drivers() if name not in (*vector_drivers(), *WORKING_DRIVERS)]
     set_gdal_config_options({**gdal_options(), "GDAL_SKIP": ",".join(refused) or None,
                              "OGR_SKIP": None})
     if refused:
+        # GDAL_SKIP counts only when drivers are registered.
         core._register_drivers()
 
 
@@ -133,9 +142,11 @@ def _linked(path: Path, folder: Path) -> Path:
 
     A Shapefile has further files of its name; what is next to another file is not read.
     """
+    # pyogrio cannot pass on names that are no UTF-8.
     name = folder / path.name.encode(errors="replace").decode()
     files = [path]
     if path.suffix.lower() not in _SINGLE_FILES:
+        # A Shapefile is several files of one stem.
         files += [file for file in path.parent.glob(f"{glob.escape(path.stem)}.*") if file != path]
     for file in files:
         link = name if file == path else name.with_suffix(file.suffix)

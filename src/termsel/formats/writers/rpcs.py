@@ -53,12 +53,14 @@ class RpcWriter(Writer):
         """Write the RPC of a result, after GDAL or termsel has read it back and found the same."""
         image = self.options["image"]
         if image is not None:
+            # An RPC is scaled to the size of its image, which files of points do not state.
             result = result.of_image(picture_for(result, image).size)
         heights = self._heights()
         rpc = result.to_rpc(heights)
         text = self.text(rpc, result, path)
         with atomic_path(path) as temporary:
             temporary.write_bytes(encoded(text))
+            # Before the file gets its name: nobody finds a bad one.
             require_read_back(rpc, text, self.suffix)
         self.written(rpc, path)
         sampled = places_of(result.fit, heights)
@@ -82,6 +84,7 @@ class RpcWriter(Writer):
         except ValueError:
             low = np.nan
             high = np.nan
+        # NaN stands for what is no number, so that one message says all.
         if not (np.isfinite([low, high]).all() and low <= high):
             raise TermselError(f"option 'heights' cannot be {text!r}",
                                hint="Give the least and the largest height, such as "
@@ -96,6 +99,7 @@ class RpcWriter(Writer):
         """Warn if GDAL does not use the file that was written."""
         image = self.options["image"]
         vendors = []
+        # GDAL looks for an RPB first, and takes it.
         if self.suffix == "_RPC.TXT":
             candidates = [path.with_name(_stem(path, self.suffix) + ending)
                           for ending in (".RPB", ".rpb")]
@@ -106,6 +110,7 @@ class RpcWriter(Writer):
         elif image is not None:
             with open_raster(image) as raster:
                 rpc_in_use = raster.tags(ns="RPC")
+            # GDAL's tags tell whether it uses any; termsel's own reader tells which.
             if not rpc_in_use or read_rpc(Path(image)) != rpc:
                 stem = Path(image).stem
                 log.warning("Warning: GDAL does not use this RPC for %s. A file beside it has "
@@ -185,6 +190,7 @@ def _require_same_by_gdal(rpc: Rpc, image: Path) -> None:
     from rasterio.errors import RasterioError
     from rasterio.transform import RPCTransformer
 
+    # Places all over the box of the RPC, the same each time.
     share = np.random.default_rng(0).uniform(-1.0, 1.0, (1000, 3))
     ground = share * rpc.ground_scale + rpc.ground_offset
     with np.errstate(all="ignore"):

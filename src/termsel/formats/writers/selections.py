@@ -56,6 +56,7 @@ def gcps_of(result: Result) -> tuple[Points, Points, str]:
     """Return the chosen points as measured, as GCPs with heights, and the CRS of these as WKT."""
     used = chosen_points(result)
     ground, crs = for_warping(used.ground, result.features.crs)
+    # GDAL has no missing heights; it takes 0 for one that it does not need.
     return used, replace(used, ground=np.nan_to_num(ground)), crs
 
 
@@ -64,6 +65,7 @@ def _errors(result: Result) -> FloatArray:
     points = result.features.points
     errors = np.asarray(result.fit.errors(points))
     if result.fit.model.uses_height:
+        # Without a height there is no computed place.
         errors[np.isnan(points.ground[:, 2])] = np.nan
     return errors
 
@@ -130,10 +132,12 @@ class PointsTable(SelectionWriter):
         points = result.features.points
         selected = _chosen(result)
         errors = _errors(result)
+        # As measured, in the CRS as given, so that the table can be read again.
         header, measured = point_columns(points)
         header = ["id", "role", "enabled", *header, "computed_line", "computed_sample",
                   "residual_line", "residual_sample"]
         values = np.concatenate([measured, points.image - errors, errors], axis=1)
+        # Only control is selected; other roles are never switched off.
         texts = [[name, role, str(int(on or role != "control"))]
                  for name, role, on in zip(points.ids, points.roles, selected, strict=True)]
         write_text(path, table_text(result.features.crs, header, texts, values,
@@ -159,6 +163,7 @@ class LinesTable(Writer):
         lines = result.features.lines
         selected = _used(result)
         header, values = line_columns(lines)
+        # Of a line only the distance across it is an error.
         distances = np.linalg.norm(result.fit.line_errors(lines), axis=-1)
         texts = [[name, "control", str(int(name in selected))] for name in lines.ids]
         write_text(path, table_text(
@@ -172,5 +177,6 @@ def wkt(crs: str) -> str:
     try:
         from pyproj import CRS
     except ImportError:
+        # A WKT in several lines would break a header of one line.
         return " ".join(crs.split())
     return str(CRS.from_user_input(crs).to_wkt())

@@ -79,7 +79,9 @@ class Checkpoint:
         self._stages = 0
         try:
             content = self.path.read_bytes() if self.path.exists() else b""
+            # A process that was killed may have left half a line.
             complete = content[:content.rfind(b"\n") + 1]
+            # The file stays as it is until it is known to be a checkpoint.
             if content:
                 self._read(complete.splitlines())
                 with self.path.open("r+b") as file:
@@ -94,6 +96,7 @@ class Checkpoint:
     def _read(self, lines: Sequence[bytes]) -> None:
         """Take the lines of an earlier process."""
         try:
+            # Another file by mistake: its content must not be lost.
             head = msgspec.json.decode(lines[0], type=_Head) if lines else None
         except msgspec.DecodeError:
             head = None
@@ -123,6 +126,7 @@ class Checkpoint:
 
         `start` is when the search began, by `time.perf_counter`.
         """
+        # Even numbers are searches, odd ones their local refinements.
         numbers = (self._stages, self._stages + 1)
         self._stages += 2
         search, refinement = (Stage(self.path, number, deque(self._lines.get(number, ())), start)
@@ -157,14 +161,17 @@ class Stage:
             values = np.frombuffer(line.values, dtype="<f8")
             columns = len(problem.objectives) + 1
             n = len(values) // columns
+            # The digest of the selections tells whether this is the same search.
             if n == 0 or len(values) % columns or n > len(keys) \
                     or line.digest != _digest(keys[:n]):
                 raise self._of_another()
             # The last population of a smaller budget was cut short: it is evaluated as a whole.
             if n < len(keys):
                 continue
+            # A copy that can be written to, in the byte order of this machine.
             table = values.reshape(n, columns).astype(np.float64)
             evaluation = Evaluation(table[:, :-1], table[:, -1])
+            # Only once: the same data give the same figures ever after.
             if not self._taken:
                 self._require_same(evaluation, problem, genes)
             self._taken += n
@@ -190,10 +197,13 @@ class Stage:
 
     def add(self, keys: Sequence[bytes], evaluation: Evaluation) -> None:
         """Add an evaluation; it is written at once, or with others half a second later."""
+        # Binary, as decimals would cost more time than some evaluations; little-endian on any
+        # machine.
         values = np.column_stack([evaluation.objectives, evaluation.violation]).astype("<f8")
         now = time.perf_counter()
         self._unwritten.append(_Line(self._number, _digest(keys), values.tobytes(),
                                      now - self._start))
+        # A search may make hundreds of populations a second.
         if now - self._written > _EVERY:
             self.write()
 

@@ -51,6 +51,7 @@ class Cell:
 
 def kind_of(labels: Mapping[str, Any]) -> tuple[str, ...]:
     """Return all labels but data, split and seed: cells of a kind take about the same time."""
+    # Times are estimated by kind: data of a study are mostly of one size.
     return tuple(labels[name] for name in LABELS if name not in ("data", "split", "seed"))
 
 
@@ -61,11 +62,13 @@ def cells_of(spec: Spec, data: list[Data]) -> list[Cell]:
     study file, for names and options that are not known, a solver that cannot handle the
     objectives, or a kind of cell that none of the data allows.
     """
+    # Before anything is checked, as a few lines can ask for millions of cells.
     _require_few(spec, len(data) or 1)
     kinds = _Kinds(spec)
     cells = []
     for problem in spec.problems or (None,):
         data_sets = list(data) or [_own_data(spec, problem)]
+        # Each problem has a data set of its own, for studies that name none.
         for data_set in data_sets:
             # Without a problem the features say what it is: points, or lines as well.
             name = problem.name if problem else None if data_set.features is None \
@@ -76,10 +79,12 @@ def cells_of(spec: Spec, data: list[Data]) -> list[Cell]:
     if cells and all(cell.data.features is None for cell in cells):
         raise TermselError(cells[0].data.reason, hint=None if len(cells) == 1 else
                            f"None of the {len(cells)} cells can run; this is the first.")
+    # A misspelt option would silently be without effect.
     kinds.require_used()
     if len(spec.splits) > 1 and len({cell.labels["split"] for cell in cells}) == 1:
         raise spec.places.error(("splits",), "every point has a role, so all splits are the same",
                                 'Add roles = "random" to [options], or leave splits out.')
+    # The key is of all that the result depends on: equal keys are one cell.
     if len({cell.key for cell in cells}) < len(cells):
         raise TermselError("two cells of the study are the same",
                            hint="Remove the problem, model or solver that is named twice.")
@@ -144,6 +149,7 @@ def _of_data(spec: Spec, kinds: _Kinds, problem: PartSpec | None, name: str | No
 
 def _drawn(options: Mapping[str, Any], data: Data) -> bool:
     """Return whether a split assigns any roles; without that all splits are one instance."""
+    # Keys may have the name of a part in front, "data.roles".
     how = next((value for key, value in options.items()
                 if key.rpartition(".")[2] == "roles"), "file")
     return how != "file" or (data.features is not None and "" in data.features.points.roles)
@@ -176,6 +182,7 @@ class _Kinds:
     def kind(self, strategy: str, specs: Mapping[str, PartSpec | None], data: Data,
              alternatives: list[Data]) -> _Kind:
         """Return a kind, checked on these data or, where they do not serve, on others."""
+        # Without the data: whether a kind can be is mostly the same for all of them.
         key = (strategy, *(spec and spec.label for spec in specs.values()))
         if key not in self._known:
             if specs["problem"] is None:  # the data cannot be read, so nothing is known
@@ -200,6 +207,7 @@ class _Kinds:
         for data_set in data:
             if data_set.features is None:
                 continue
+            # First without options, to learn which parts there are and what they declare.
             without_options = self._asked(strategy, specs, data_set, {})
             options = self._options(strategy, specs, without_options)
             request = self._asked(strategy, specs, data_set, options)
@@ -208,6 +216,7 @@ class _Kinds:
             if strategy == "auto":
                 checksums["methods"] = made_of(
                     list(auto_of(_given(specs.get("method"))).methods))
+            # The code of a measure is part of what the column says.
             if measures:
                 checksums["measures"] = made_of([measure.compute for measure in measures])
             solver: Solver = request.solver
@@ -221,6 +230,8 @@ class _Kinds:
                 continue
             return _Kind(options, {"model": request.model.name, "solver": solver.name,
                                    "criterion": request.criterion.name},
+                         # A deterministic solver followed by a local search that draws has chance
+                         # as well.
                          chance=strategy != "auto" and (
                              solver.uses_chance or bool(request.options["search"]["polish"])),
                          made_of=checksums, others=_of_others(strategy, request, measures))
@@ -262,6 +273,7 @@ class _Kinds:
     def _at_fault(self, specs: Mapping[str, PartSpec | None], error: TermselError) -> TermselError:
         """Return the error with the place of the part, or the option, that it is about."""
         for role, spec in specs.items():
+            # An error names the option as "solver.population" or as "population".
             key = error.name.removeprefix(f"{role}.")
             if spec is not None and (error.name == spec.name or key in spec.options):
                 path = (*spec.path, key) if key in spec.options else spec.path
@@ -291,6 +303,7 @@ class _Kinds:
                 chosen[f"{role}.{key}" if key in own_names else key] = value
         problem = specs["problem"]
         for key, value in (problem.options if problem else {}).items():
+            # Options next to the problem are for all its parts, unless one of them has its own.
             if not any(name.rpartition(".")[2] == key for name in chosen):
                 chosen[key] = value
         for key, value in self._spec.options.items():
@@ -352,6 +365,7 @@ def _cell(spec: Spec, strategy: str, specs: Mapping[str, PartSpec | None], kind:
                if component and component.thing}
     # All that the result depends on: the journal finds a finished cell by this checksum.
     identity = {**call, "labels": labels, "data": data.key, "made_of": kind.made_of}
+    # Two runs of one instance can be compared: they have the same optimum.
     # The optimum depends on all of that but the solver, its seed and its limits.
     instance = {
         "data": data.key, "problem": call["problem"],
@@ -379,6 +393,7 @@ def _measures_of(spec: Spec) -> list[Measure]:
 def _of_others(strategy: str, request: Request, measures: Iterable[Measure]) -> bool:
     """Return whether plugins that are not termsel's, or objects from Python, take part in cells."""
     own_distributions = {PROJECT, *own_packages()}
+    # Which of its methods auto will fit is not known before.
     if strategy == "auto":  # its candidates are those of all plugins
         return any(slot.plugin.distribution not in own_distributions for slot in registry().slots)
     components = (request.model, request.criterion, request.solver, request.then)
@@ -393,5 +408,6 @@ def _of_others(strategy: str, request: Request, measures: Iterable[Measure]) -> 
 
 
 def _sum(content: Mapping[str, Any]) -> str:
+    # Sorted and without blanks, so that equal content is equal text.
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:24]

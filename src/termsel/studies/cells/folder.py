@@ -47,6 +47,7 @@ def _read_plan(folder: Path) -> tuple[Spec, int, dict[str, dict[str, Any]]]:
         read = convert(table["cells"], dict[str, dict[str, str | int]])
         # Every cell has all labels, in the order of the tables.
         cells = {}
+        # A cell without one of them was not written by this program.
         for key, labels in read.items():
             cells[key] = {name: labels[name] for name in LABELS}
         return spec_of(table["study"]), int(table["workers"]), cells
@@ -93,6 +94,7 @@ def read_study(folder: Path | str) -> Study:
     """
     spec, _, cells = _read_plan(Path(folder))
     records = read_journal(Path(folder)).records
+    # Records of cells that the plan does not name are of an earlier plan.
     return Study(spec, cells, {key: records[key] for key in cells if key in records}, Path(folder))
 
 
@@ -112,6 +114,7 @@ def table_of(spec: Spec) -> dict[str, Any]:
         "seeds": spec.seeds, "splits": spec.splits, "budget": spec.budget, "options": spec.options,
         "exports": spec.exports, "measure": spec.measure,
         "measures": spec.measures, "accept": spec.accept and str(spec.accept)}
+    # What is not asked for is left to the defaults of whoever reads it.
     return {key: value for key, value in table.items() if value}
 
 

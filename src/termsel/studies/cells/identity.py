@@ -32,6 +32,7 @@ def made_of(value: Any) -> str:
     """
     checksum = hashlib.sha256()
     for text in _words(value, set()):
+        # The length in front keeps neighbouring texts apart.
         checksum.update(f"{len(text)}:{text}".encode(errors="surrogatepass"))
     return checksum.hexdigest()[:24]
 
@@ -58,6 +59,7 @@ def _words(value: Any, above: set[int]) -> Iterator[str]:
 def _parts(value: Any) -> Iterator[Any]:
     """Yield what a value consists of."""
     if isinstance(value, Mapping):
+        # Sets and mappings have no order that lasts.
         yield from sorted(value.items(), key=str)
     elif isinstance(value, list | tuple):
         yield from value
@@ -79,6 +81,7 @@ def _parts(value: Any) -> Iterator[Any]:
         yield value.fget
     elif isinstance(value, ModuleType | BuiltinFunctionType):
         yield value.__name__
+    # Caches in an object are no part of what it does.
     elif isinstance(value, Configurable):
         yield from (type(value), value.options, _plain(vars(value)))
     elif is_dataclass(value):
@@ -117,6 +120,7 @@ def _of_function(function: FunctionType) -> Iterator[Any]:
     if _root(function) == "__main__":  # no package tells what its names stand for
         for name in function.__code__.co_names:
             used = function.__globals__.get(name)
+            # One step far: what those names use in turn is not looked at.
             if isinstance(used, (*_PLAIN, FunctionType, type)):
                 yield used
 

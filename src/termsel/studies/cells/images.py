@@ -49,6 +49,7 @@ def _images_of(data: Collection[str]) -> dict[str, str]:
     """
     whole = {label: file_word(label, "image") for label in data}
     short = {label: file_word(_stem(label), "image") for label in data}
+    # Names that differ in capitals alone are one on some disks.
     count = Counter(name.casefold() for name in short.values())
     return {label: short[label] if count[short[label].casefold()] == 1 else whole[label]
             for label in data}
@@ -57,6 +58,7 @@ def _images_of(data: Collection[str]) -> dict[str, str]:
 def _stem(label: str) -> str:
     """Return the name of a file of points, or of its part, without folder and suffix."""
     files, _, part_name = label.partition("#")
+    # "gcps/a.csv + lines/a.csv#IMG_1" is of the part, or of the first file.
     return PurePosixPath(part_name or files.partition(" + ")[0]).stem
 
 
@@ -71,6 +73,7 @@ def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         with private_folder(folder) as new:
             for name, content in files.items():
+                # The name alone: a record from a worker must not lead out of the folder.
                 (new / Path(name).name).write_bytes(content)
                 sync(new / Path(name).name)
             for name in files:

@@ -114,6 +114,7 @@ class Journal:
 
     def open(self, versions: Mapping[str, str]) -> None:
         """Cut off a torn last line, begin the file if it is new, refuse one of other versions."""
+        # Numbers of one study must be of one program.
         if self.versions and dict(self.versions) != dict(versions):
             pairs = {name: (self.versions.get(name, "none"), versions.get(name, "none"))
                      for name in sorted({*self.versions, *versions})}
@@ -141,6 +142,7 @@ class Journal:
     def close(self) -> None:
         """Wait until all is on the disk."""
         if self._file is not None:
+            # fsync returns when the disk has the data; close alone does not wait.
             os.fsync(self._file.fileno())
             self._file.close()
             self._file = None
@@ -183,6 +185,7 @@ def read_journal(folder: Path) -> Journal:
     for number, line in enumerate(lines, 1):
         record = _opened(line)
         if record is None:
+            # The last line may be torn by a crash; one in the middle is damage.
             if number == len(lines):
                 break
             damaged.append(number)
@@ -227,6 +230,7 @@ def _sealed(record: Mapping[str, Any]) -> bytes:
 
 def _opened(line: bytes) -> Mapping[str, Any] | None:
     """Return the record of a line; None if it is torn or damaged."""
+    # A line is complete with its line end.
     if not line.endswith(b"\n"):
         return None
     try:
@@ -234,6 +238,7 @@ def _opened(line: bytes) -> Mapping[str, Any] | None:
         record = sealed["record"]
         is_valid = isinstance(record, dict) and (
             "schema" not in record or isinstance(record.get("versions"), dict))
+        # The text is made again from what was read, so that any change of it shows.
         return record if is_valid and _sum(_text(record)) == sealed["sha256"] else None
     except (ValueError, TypeError, KeyError, RecursionError):
         return None

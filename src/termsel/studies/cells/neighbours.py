@@ -62,6 +62,7 @@ def setting_of(features: FeatureSet) -> dict[str, Any]:
     says which axes look swapped.
     """
     ground = features.ground_vertices()
+    # Both orders, so that an exchange of x and y can be told.
     return {"place": degrees_of(features.crs, ground) if len(ground) else None,
             "exchanged": degrees_of(features.crs, ground[:, [1, 0, 2]]) if len(ground) else None,
             "mirrored": is_mirrored(features), "doubt": swapped(features)}
@@ -81,6 +82,7 @@ def batch_of(settings: Mapping[str, Mapping[str, Any]]) -> Batch:
 def _elsewhere(settings: Mapping[str, Mapping[str, Any]]) -> list[tuple[str, dict[str, str]]]:
     """Return sentences on images far from most others, each with the doubt about every image."""
     placed = {name: setting for name, setting in settings.items() if setting.get("place")}
+    # Of two images nobody can say which one is elsewhere.
     if len(placed) < 3:
         return []
     names = list(placed)
@@ -97,6 +99,7 @@ def _elsewhere(settings: Mapping[str, Mapping[str, Any]]) -> list[tuple[str, dic
     # The group with most images, if it has most of the batch.
     usual = max(groups, key=lambda group: count[group].sum())
     number = int(count[usual].sum())
+    # Without a clear majority there is no place that the others should be at.
     if number < 2 or number < MOST * len(names):
         return []
     middle = in_words(_middle(positions[usual]))
@@ -167,6 +170,7 @@ def _directions(positions: FloatArray) -> FloatArray:
 def _middle(positions: FloatArray) -> Place:
     """Return the middle of places: the direction of the sum of theirs."""
     x, y, z = _directions(positions).sum(axis=0)
+    # The z component tells the latitude, the horizontal ones the longitude.
     return float(np.degrees(np.arctan2(y, x))), float(np.degrees(np.arctan2(z, np.hypot(x, y))))
 
 
@@ -183,6 +187,7 @@ def _groups(linked: BoolArray) -> list[IntArray]:
     """Return the groups of places that are linked (n, n), through others, too."""
     from scipy.sparse.csgraph import connected_components
 
+    # Components of the graph of neighbours: a chain of images is one group.
     number, label = connected_components(linked, directed=False)
     return [np.flatnonzero(label == i) for i in range(number)]
 

@@ -81,6 +81,7 @@ def _sentence(doubt: str | None) -> list[str]:
 
 def _badness(row: Row) -> tuple[int, float]:
     """Return what sorts images worst first: those that failed, then by predicted RMSE."""
+    # The predicted RMSE is of every image; the measured one of few.
     figure = row["predicted"] if row["predicted"] is not None else row["independent"]
     return (0, 0.0) if figure is None else (1, -figure)
 
@@ -99,6 +100,7 @@ def with_notes_once(rows: Sequence[Row]) -> list[Row]:
     told: set[str] = set()
     shorter = []
     for row in rows:
+        # A note is kept with the first image that has it.
         notes = [note for note in row["notes"] or () if note not in told]
         told |= usual.keys() & set(notes)
         shorter.append({**row, "notes": notes or None})
@@ -114,6 +116,7 @@ def csv_of(rows: Sequence[Row], columns: Sequence[str]) -> str:
 
 
 def _cell(value: Any) -> Any:
+    # NaN of a figure that has no meaning is a blank cell, too.
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
         return ""
     return "; ".join(map(str, value)) if isinstance(value, list) else value

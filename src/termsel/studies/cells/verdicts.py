@@ -71,6 +71,7 @@ def verdicts_of(rows: Sequence[Mapping[str, Any]], accept: Accept | None,
 
 def _usual_size(rows: Sequence[Mapping[str, Any]]) -> float:
     """Return the median RMSE of the images [px]; infinite of a few."""
+    # The upper end of the interval, which is what an image may be as bad as.
     sizes = [interval[1] for row in rows if (interval := _interval(row, "px")) is not None]
     return float(np.median(sizes)) if len(sizes) >= FEW_IMAGES else math.inf
 
@@ -80,6 +81,7 @@ def _verdict(row: Mapping[str, Any], accept: Accept | None, usual: float) -> tup
         return "", ""
     if row["state"] != "done":
         return UNFIT, str(row["reason"] or "no result")
+    # A mirror image may be one on purpose; a wrong place is none.
     if row["doubt"] and "mirror" not in str(row["doubt"]):
         return UNFIT, str(row["doubt"])
     against = _contradictions(row, usual)

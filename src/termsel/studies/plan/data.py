@@ -50,6 +50,7 @@ def data_of(spec: Spec, folder: Path) -> list[Data]:
         data_sets += _of_source(spec, source, folder)
     labels: set[str] = set()
     for data in data_sets:
+        # Tables call data by their labels.
         if data.label in labels:
             raise spec.places.error(data.path, f"the data {data.label} are named twice",
                                     "Name them once.")
@@ -81,6 +82,7 @@ def _named_by(options: Mapping[str, Any], folder: Path) -> Iterator[Path]:
     """Yield the files that options name, such as a raster of heights or an RPC."""
     for value in options.values():
         if isinstance(value, str) and value:
+            # Relative to the folder of the study, or to where the command runs.
             for candidate in (folder / value, Path(value)):
                 with suppress(OSError, ValueError):  # a text that is too long for a name
                     if candidate.is_file():
@@ -118,6 +120,7 @@ def _matched(spec: Spec, source: Source, kind: str, patterns: tuple[str, ...],
     """Return the files of patterns, in the order of the patterns and then of their names."""
     files: list[str] = []
     for pattern in patterns:
+        # A name without a wildcard is a file that must be there.
         # A plain name must exist; a pattern must match anything.
         wild = any(sign in pattern for sign in _WILD)
         names = _globbed(pattern, folder) if wild else [pattern]
@@ -174,6 +177,7 @@ def _parts(source: Source, files: Mapping[str, str], folder: Path) -> dict[str, 
         return undivided
     try:
         return parts_of(folder / files["points"], **source.reading) or undivided
+    # Of a file that cannot be read nothing is known of its parts.
     except TermselError:
         return undivided  # it is told when the file is read
 
@@ -194,4 +198,5 @@ def _read(source: Source, files: Mapping[str, str], folder: Path, part_name: str
 
 
 def _key(features: FeatureSet) -> str:
+    # Attributes are columns that methods may read.
     return of_features(features) + (of_attributes(features) or "")

@@ -57,6 +57,7 @@ class _Reader:
         for match in _TOKEN.finditer(text):
             while line + 1 < len(starts) and starts[line + 1] <= match.start():
                 line += 1
+            # Blanks and comments have no place to be named.
             if match.lastgroup != "skip":
                 self._tokens.append((str(match.lastgroup), match[0],
                                      (line + 1, match.start() - starts[line] + 1)))
@@ -80,6 +81,7 @@ class _Reader:
     def _header(self) -> Path:
         """Pass ``[table]`` or ``[[list]]`` and return its path."""
         self._at += 1
+        # "[[" begins a further table of a list.
         several = self._tokens[self._at][1] == "["
         self._at += several
         position = self._tokens[self._at][2]
@@ -101,6 +103,7 @@ class _Reader:
     def _key(self) -> list[str]:
         """Pass a key, which may have dots, and return its parts."""
         names = [""]
+        # Until the sign that ends a key, or a header.
         while (text := self._tokens[self._at][1]) not in ("=", "]"):
             if text == ".":
                 names.append("")
@@ -133,6 +136,7 @@ class _Reader:
                     self._at += 1
             self._at += 1
             return
+        # A plain value is passed until what comes after it.
         while self._tokens[self._at][1] not in (",", "]", "}", "\n"):
             self._at += 1
 
