@@ -55,6 +55,7 @@ def prepare() -> None:
     """Load what the first answer needs, before it is asked for."""
     from termsel.toolkit.files import plan
 
+    # Names of the package load their modules when they are first used.
     for name in (termsel.run, termsel.read, plan, charts.first_screen):
         assert callable(name)
 
@@ -68,6 +69,7 @@ def judged(question: Question) -> Iterator[Answer]:
     """
     features = question.features
     base = {"serial": question.serial}
+    # An RPC is a model already: one point corrects it.
     in_use = [role != "off" for role in features.points.roles].count(True)
     fewest = 1 if question.rpc is not None else FEWEST
     if in_use < fewest and not len(features.lines):
@@ -77,11 +79,13 @@ def judged(question: Question) -> Iterator[Answer]:
                        "model."}
         return
     try:
+        # What termsel refuses is shown like any other answer.
         result = _run(question)
     except TermselError as error:
         yield {**base, "stage": "refused", "text": f"{error.what}.", "hint": error.hint or "",
                "ids": list(error.ids)}
         return
+    # Each stage is sent as soon as it is there: the first takes a second, the last several.
     yield {**base, "stage": "figures", **figures(result), "result": result}
     yield {**base, "stage": "predicted", "errors": prediction_errors(result)}
     if len(features.lines) >= FEWEST_LINES:
@@ -92,6 +96,7 @@ def judged(question: Question) -> Iterator[Answer]:
 
 def _run(question: Question) -> Result:
     with tempfile.TemporaryDirectory(prefix="termsel-app-") as folder:
+        # Read from files like any others, so that DEM, RPC and checks work as for a command.
         files = written(question.features, Path(folder))
         features = termsel.read(
             files.get("points"), files.get("lines"), dem=question.dem, rpc=question.rpc)
@@ -139,6 +144,7 @@ def accuracy(result: Result) -> Answer | None:
     """
     record = result.record
     predicted = charts.expected_of(record)
+    # The same rule as on the first screen of a report.
     if predicted is not None and charts.predicted_first(record):
         figure = (predicted.rmse, predicted.low, predicted.high)
         kind = "predicted by cross-validation"
@@ -161,8 +167,10 @@ def metres_per_pixel(result: Result) -> float | None:
     ground = fit.control.ground_vertices()
     if not len(ground):
         return None
+    # In the middle of the control, where the model is best known.
     middle = fit.project(ground).mean(axis=0)
     height = np.nan_to_num(np.nanmedian(ground[:, 2])) if np.isfinite(ground[:, 2]).any() else 0.0
+    # One pixel down and one to the right, on the ground.
     corners = fit.locate(middle + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), height)
     edges = toolkit.in_metres(fit.control.crs, np.repeat(corners[:1], 2, axis=0),
                       (corners[1:] - corners[0])[:, :2])
@@ -176,6 +184,7 @@ def errors(result: Result) -> dict[str, Answer]:
     """Return the residual of each feature [px]; of a line the larger of its two vertices."""
     table: dict[str, Answer] = {}
     for row in result.residuals:
+        # Rows are of vertices, and of all pieces of a line.
         largest = max(row.distance, table.get(row.id, {}).get("distance", 0.0))
         point = row.kind == "point"
         table[row.id] = {"line": row.line if point else None,
@@ -191,6 +200,7 @@ def prediction_errors(result: Result) -> dict[str, float]:
     """
     table = {row.id: row.distance for row in result.residuals
              if row.kind == "point" and not row.used}
+    # Without blunders, which would spoil what the others predict.
     control = result.fit.control.take(np.asarray(result.fit.used))
     if result.strategy is None:
         return table
@@ -209,6 +219,7 @@ def chosen_lines(features: FeatureSet) -> Answer:
     Judged by leaving out each of the lines in turn, since the points of a session may be few.
     """
     heights = features.lines.ground[..., 2]
+    # Without relief terms of the height are not determined.
     flat = not np.isfinite(heights).all() or np.ptp(heights) == 0.0
     model: dict[str, Any] = {"model": "poly2d", "options": {"degree": 1}} if flat else {}
     lines = replace(features, points=features.points.take(np.zeros(0, dtype=np.intp)))
@@ -237,6 +248,7 @@ def _next_places(result: Result) -> Answer:
             for line, sample, x, y, z, remaining in next_points.values.tolist()]
     before = next_points.sigma_before
     after = rows[0]["uncertainty"]
+    # Of the mean uncertainty; a perfect model gains nothing.
     gain = 1.0 - after / before if before else 0.0
     text = (f"One more point takes the mean uncertainty of the model from {before:.3g} to "
             f"{after:.3g} px, {NEXT} more to {rows[-1]['uncertainty']:.3g} px.")
@@ -257,6 +269,7 @@ def uncertainty(result: Result) -> Answer | None:
     ground = fit.control.ground_vertices()
     height = np.nan_to_num(np.nanmedian(ground[:, 2])) if np.isfinite(ground[:, 2]).any() else 0.0
     sigma = np.hypot(*result.sigma(fit.locate(image, height)).T)
+    # Without redundancy no deviation is known.
     if not np.isfinite(sigma).any():
         return None
     box = [float(first_line), float(first_sample), float(last_line), float(last_sample)]

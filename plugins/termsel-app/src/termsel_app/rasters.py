@@ -62,6 +62,7 @@ class Raster:
             self._overview: Pixels | None = None
             self.share_read = 1.0
             self.limits = self._stretch()
+            # Else every tile from afar would read the whole raster.
             if max(self.height, self.width) > LARGE and not self.dataset.overviews(1):
                 self._begin_overview()
         except BaseException:
@@ -79,12 +80,14 @@ class Raster:
 
         From all of a raster where it is small or has overviews, else from parts all over it.
         """
+        # Bytes are colours already, and mostly stretched by whoever made them.
         if self.dataset.dtypes[self.bands[0] - 1] == "uint8":
             return None
         values = np.concatenate(self._sampled(), axis=1)
         limits = []
         for band in values:
             finite = band[np.isfinite(band)]
+            # Percentiles, as a few bright pixels would make all others black.
             low, high = np.percentile(finite, _TAILS) if finite.size else (0.0, 1.0)
             limits.append((float(low), float(high if high > low else low + 1.0)))
         return limits
@@ -98,6 +101,7 @@ class Raster:
             windows = [(Window(0, 0, self.width, self.height), shape)]
         else:
             length = _SAMPLES // 4
+            # Sixteen blocks all over it: single pixels would cost a read each.
             windows = [(Window(int(x), int(y), length, length), (len(self.bands), length, length))
                        for y in np.linspace(0, self.height - length, 4)
                        for x in np.linspace(0, self.width - length, 4)]
@@ -115,6 +119,7 @@ class Raster:
     def _read_overview(self) -> None:
         """Fill the overview by strips of whole blocks, from above."""
         block = self.dataset.block_shapes[0][0]
+        # Whole blocks, so that none is read twice, and whole steps, so that strips meet.
         rows = max(_STRIP // self.width // block, 1) * block
         rows = max(rows // self._step, 1) * self._step
         step = self._step
@@ -136,6 +141,7 @@ class Raster:
 
         first_line, first_sample, height, width = box
         window = Window(first_sample, first_line, width, height)
+        # The mean of two indices of a table is another colour altogether.
         resampling = Resampling.average if average and self.colours is None \
             else Resampling.nearest
         with self.lock:
@@ -150,6 +156,7 @@ class Raster:
         from rasterio.enums import MaskFlags
 
         flags = self.dataset.mask_flag_enums[0]
+        # Reading a mask that hides nothing would double the time.
         if self._alpha is None and MaskFlags.all_valid in flags:
             return None
         if self._alpha is not None:
@@ -168,9 +175,11 @@ class Raster:
             pixels[..., :3] = colours[..., :3]
             pixels[..., 3] = np.minimum(pixels[..., 3], colours[..., 3])
             return pixels
+        # One band is shown as grey: three times the same.
         for band in range(3):
             source = min(band, len(values) - 1)
             pixels[..., band] = self._as_bytes(values[source], source)
+        # NaN is no value, whatever the mask says.
         if values.dtype.kind in "fc":
             pixels[..., 3][~np.isfinite(values).all(axis=0)] = 0
         return pixels
@@ -215,6 +224,7 @@ class Raster:
                            strict=True)]
             result[visible] = overview[np.ix_(*centres)]
             return result
+        # What is read lies inside the raster; rounding may leave a hair outside.
         inside = (np.clip(first_line + first[0] * steps[0], 0, self.height),
                   np.clip(first_sample + first[1] * steps[1], 0, self.width))
         inner = (min((last[0] - first[0]) * steps[0], self.height - inside[0]),
@@ -231,6 +241,7 @@ def _colour_table(dataset: Any) -> Pixels | None:
         table = dataset.colormap(1)
     except ValueError:
         return None
+    # A table may have gaps; nothing in them is opaque.
     colours = np.zeros((max(table) + 1, 4), dtype=np.uint8)
     for index, colour in table.items():
         colours[index] = colour
@@ -247,6 +258,7 @@ def _bands(dataset: Any, indexed: bool) -> list[int]:
     colours = (ColorInterp.red, ColorInterp.green, ColorInterp.blue)
     if all(colour in kinds for colour in colours):
         return [kinds.index(colour) + 1 for colour in colours]
+    # Three bands without names of colours are taken in order, as GDAL and QGIS do.
     visible = [i + 1 for i, kind in enumerate(kinds) if kind != ColorInterp.alpha] or [1]
     return visible[:3] if len(visible) >= 3 else visible[:1]
 

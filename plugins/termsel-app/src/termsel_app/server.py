@@ -60,6 +60,7 @@ class Pages:
     def __init__(self, session: Session, port: int) -> None:
         self.session = session
         self.secret = secrets.token_urlsafe(24)
+        # Other users see the address on the command line of the browser: it works once only.
         self.first = secrets.token_urlsafe(24)
         self.port = port
         self.box = session.box()
@@ -86,7 +87,9 @@ class Pages:
 
     def tell(self, message: dict[str, Any]) -> None:
         """Send a message to all pages; in the thread of the server."""
+        # Encoded once for all pages.
         text = json.dumps(message)
+        # A copy, as a page that has gone is removed meanwhile.
         for events in tuple(self.open):
             events.send(text)
 
@@ -103,6 +106,7 @@ class Guarded(RequestHandler):
     def set_default_headers(self) -> None:
         """Let the page load nothing from elsewhere, and nobody else show it or read it."""
         self.set_header("Server", "termsel")
+        # What was measured may be secret: no copy stays in the browser.
         self.set_header("Cache-Control", "no-store")
         self.set_header("X-Content-Type-Options", "nosniff")
         self.set_header("Referrer-Policy", "no-referrer")
@@ -137,8 +141,11 @@ def is_allowed(handler: RequestHandler, expected: str | None = None) -> bool:
     """Return whether a request has the secret, comes to this server and from its page."""
     pages: Pages = handler.pages  # type: ignore[attr-defined]
     expected = expected or pages.secret
+    # A website may send requests to this machine: only the secret in the address tells our page.
     secret = handler.path_args[0] if handler.path_args else ""
     origin = handler.request.headers.get("Origin")
+    # In constant time, so that the secret cannot be guessed letter by letter. The Host must be
+    # ours, lest another name leads here (DNS rebinding).
     return (hmac.compare_digest(str(secret).encode(), expected.encode())
             and handler.request.host in pages.hosts
             and (origin is None or origin in {f"http://{host}" for host in pages.hosts})
@@ -151,6 +158,7 @@ class Page(Guarded):
     def get(self, secret: str, name: str) -> None:
         """Send a file of the page."""
         name = name or "index.html"
+        # A list instead of a folder: no path leads out of it.
         if name != "index.html" and name not in PAGE:
             raise HTTPError(404)
         file = files("termsel_app").joinpath("page", *name.split("/"))
@@ -159,6 +167,7 @@ class Page(Guarded):
         self.set_header("Content-Type", f"{PAGE.get(name, 'text/html')}; charset=utf-8")
         if name == "index.html":
             session = self.session
+            # The page may load images from the servers that the user named, and nothing else.
             origins = {_origin(tiles) for tiles in session.maps.tiles}
             if session.served is not None:
                 origins.add(session.served.origin)
@@ -173,6 +182,7 @@ class Page(Guarded):
 def _origin(address: str) -> str:
     """Return the scheme and server of an address of tiles."""
     scheme, _, path = address.partition("://")
+    # {s} stands for one of several servers; a semicolon would begin another directive.
     return f"{scheme}://{path.partition('/')[0].replace('{s}', '*').replace(';', '')}"
 
 
@@ -239,8 +249,10 @@ class Tile(Guarded):
             return None
         if layer == "warped":
             if session.image is None or session.prediction is None:
+                # No prediction yet: a clear tile, which the page asks for again.
                 return png(np.zeros((TILE, TILE, 4), dtype=np.uint8))
             return png(warped_tile(session.image, session.prediction, box))
+        # The pattern of the address allows digits only.
         number = int(layer.removeprefix("map"))
         if number >= len(session.maps.rasters):
             return None
@@ -252,6 +264,7 @@ class Call(Guarded):
 
     async def post(self, secret: str, name: str) -> None:
         """Do it, and send what comes of it; what the user can correct is sent as an error."""
+        # A form of another site cannot send this type without asking first.
         if self.request.headers.get("Content-Type", "").partition(";")[0] != "application/json":
             raise HTTPError(415)
         task = CALLS.get(name)
@@ -259,11 +272,13 @@ class Call(Guarded):
             raise HTTPError(404)
         try:
             arguments = json.loads(self.request.body)
+        # Brackets nested deeply exhaust the stack of the parser.
         except (ValueError, RecursionError) as error:
             raise HTTPError(400) from error
         if not isinstance(arguments, dict):
             raise HTTPError(400)
         try:
+            # In a thread: a fit or a raster may take seconds.
             answer = await self.apart(task, self.session, self.pages, arguments)
         except TermselError as error:
             self.set_status(422)
@@ -291,6 +306,7 @@ def _box(arguments: dict[str, Any]) -> tuple[float, float, float, float]:
     box = arguments.get("box")
     if not isinstance(box, list):
         raise TermselError("box is no list of coordinates")
+    # Its lower and its upper corner.
     low, high = checked_places([box[:2], box[2:]])
     return (low[0], low[1], high[0], high[1])
 
@@ -333,6 +349,7 @@ class Events(WebSocketHandler):
 
     def prepare(self) -> None:
         """Refuse a request from elsewhere."""
+        # Browsers open WebSockets across sites, but always say from where.
         if not is_allowed(self) or self.request.headers.get("Origin") is None:
             raise HTTPError(403)
 
@@ -378,6 +395,7 @@ async def _serve(session: Session, port: int, started: Callable[[str, str], None
     except OSError as error:
         raise TermselError(f"port {port} cannot be had: {error.strerror}",
                            hint="Choose another --port, or leave it out.") from error
+    # Port 0 lets the system choose: the socket knows which.
     pages = Pages(session, sockets[0].getsockname()[1])
     settings = {"pages": pages}
     application = Application([
@@ -390,11 +408,13 @@ async def _serve(session: Session, port: int, started: Callable[[str, str], None
     server = HTTPServer(application, max_body_size=LARGEST_BODY)
     server.add_sockets(sockets)
     loop = IOLoop.current()
+    # Changes come from other threads; WebSockets belong to this one.
     session.tell = lambda message: loop.add_callback(pages.tell, message)
     try:
         started(pages.address, pages.first_address)
         await asyncio.Event().wait()
     finally:
+        # The worker may still answer, when nobody listens any more.
         session.tell = lambda _: None
         server.stop()
         pages.threads.shutdown(wait=False, cancel_futures=True)

@@ -48,6 +48,7 @@ def from_folder(name: str, folder: Path) -> str:
     if name.startswith("/vsi") or "://" in name:
         return name
     try:
+        # A folder that is moved with its files stays a session.
         relative = os.path.relpath(Path(name).absolute(), folder.absolute())
     except ValueError:  # another drive of Windows
         return str(Path(name).absolute())
@@ -80,6 +81,7 @@ class Files:
 
         So a folder of files and their session may move, and be opened from anywhere.
         """
+        # All names of files as seen from the folder; other values as they are.
         names = {key: None if (name := getattr(self, key)) is None else from_folder(name, folder)
                  for key in NAMES}
         return {**asdict(self), **names,
@@ -92,6 +94,7 @@ class Files:
         The addresses of tiles are left out: only the command line asks a server for anything.
         """
         maps = header.get("maps") or []
+        # The journal may come from anybody: nothing in it is trusted.
         if not isinstance(maps, list) or not all(is_name(name) for name in maps):
             raise TermselError("the maps of this session are no list of files")
         texts = {key: header.get(key) for key in ("image", "points", "lines", "rpc", "dem", "crs")}
@@ -103,6 +106,7 @@ class Files:
         if size is not None and not (isinstance(size, list) and len(size) == 2
                                      and all(type(n) is int and 0 < n < 2**31 for n in size)):
             raise TermselError("the size of the image of this session is no pair of numbers")
+        # Servers of tiles are given anew each time: a journal must not send requests.
         local = tuple(from_here(name, folder) for name in maps
                       if "://" not in name and not name.startswith("/vsi"))
         texts.update({key: from_here(str(texts[key]), folder) for key in NAMES
@@ -147,12 +151,14 @@ class Session:
             positions += _ground_places(record)
         if positions:
             boxes.append(box_of(self.places.to_map(positions)))
+        # Neither maps nor control: the RPC tells where the image is.
         if not boxes and self.prediction is not None and self.size is not None:
             lines, samples = self.size
             boxes.append(box_of(self.prediction.to_map(
                 [[0, 0], [0, samples], [lines, 0], [lines, samples]])))
         box = around(boxes) if boxes else (0.0, 0.0, 1000.0, 1000.0)
         wide = max(box[2] - box[0], box[3] - box[1]) or 1000.0
+        # Room to measure beyond the points that there are; a map has its own edge.
         margin = 0.0 if self.maps.box is not None and len(boxes) == 1 else wide * 0.1
         return (box[0] - margin, box[1] - margin, box[2] + margin, box[3] + margin)
 
@@ -162,6 +168,7 @@ class Session:
         """Write a change to the journal, make it, tell the pages, and have the control judged."""
         with self.lock:
             self._require_new(patches)
+            # The journal first: what the page shows is never lost.
             self.journal.append(entry_of(patches))
             self.control.apply(patches)
             self._changed()
@@ -170,6 +177,7 @@ class Session:
         for patch in patches:
             name = None if patch.after is None else patch.after["id"]
             before = None if patch.before is None else patch.before["id"]
+            # A feature may keep its own name.
             if name is not None and name != before and name in self.control.records:
                 raise TermselError(f"there is a feature {name!r} already",
                                    hint="Choose another name.", ids=[name])
@@ -179,6 +187,7 @@ class Session:
     def undo(self) -> None:
         """Take back the last change."""
         with self.lock:
+            # Undone first, as only the control knows whether there is something to undo.
             self.control.undo()
             self._journal_or(self.control.redo, {"undo": True})
             self._changed()
@@ -209,12 +218,15 @@ class Session:
         A point that is measured in one pane so far changes nothing.
         """
         with self.lock:
+            # A half-measured feature changes no figure.
             complete = self.control.complete("point") + self.control.complete("line")
             if self.worker is None or complete == self.judged:
                 return
             self.judged = complete
+            # Answers to this version alone are shown.
             self.asked = self.version
             try:
+                # What termsel refuses is an answer, too: the user corrects it on the page.
                 features = self.control.features(self.places.crs)
             except TermselError as error:
                 self.answered({"serial": self.version, "stage": "refused", "text": f"{error.what}.",
@@ -231,12 +243,14 @@ class Session:
         with self.lock:
             if answer["serial"] not in (self.asked, -1):
                 return
+            # A result stays in this process; pages get its figures.
             result = answer.pop("result", None)
             if result is not None:
                 self.prediction = prediction_of(
                     result, self.control.features(self.places.crs), self.places)
             for next_point in answer.get("next", ()):
                 next_point["map"] = self.places.to_map([next_point["ground"][:2]])[0].tolist()
+            # The first stage of an answer: what earlier ones said is out of date.
             if answer["stage"] in ("figures", "waiting", "refused"):
                 self.answers.clear()
             self.answers[answer["stage"]] = answer
@@ -262,6 +276,7 @@ class Session:
     def ground_of(self, xy: Any) -> list[list[float | None]]:
         """Return ground coordinates of places on the map; a height is None if it is not known."""
         ground = self.places.to_ground(xy)
+        # Outside the area of a projection places have no coordinates.
         if not np.isfinite(ground[:, :2]).all():
             raise TermselError(f"this place has no coordinates in {self.places.crs}",
                                hint="Choose a position within its area.")
@@ -368,6 +383,7 @@ def checked_places(positions: Any) -> list[list[float]]:
     """Return pairs of finite numbers that came from a page."""
     if not isinstance(positions, list) or not 1 <= len(positions) <= 2:
         raise TermselError("these are no positions")
+    # JSON knows no infinity, but Python reads it.
     for position in positions:
         if not isinstance(position, list) or len(position) != 2 or not all(
                 isinstance(value, int | float) and abs(value) < LARGEST for value in position):
@@ -392,6 +408,7 @@ _WITHOUT_HEADER = {3: ("id", "x", "y"), 4: ("id", "x", "y", "z"),
 def _pasted(text: str) -> Iterator[Record]:
     """Yield the points of a table; raises TermselError with the line at fault."""
     lines = [line for line in text.splitlines() if line.strip()]
+    # Tabs come from spreadsheets; a comma may be in a cell of a table with semicolons.
     separator = next((mark for mark in ("\t", ";", ",") if lines and mark in lines[0]), None)
     try:
         rows = [[cell.strip() for cell in row] for row in csv.reader(
@@ -403,6 +420,7 @@ def _pasted(text: str) -> Iterator[Record]:
     if not rows:
         raise TermselError("nothing was pasted", hint="Paste rows such as: A1, 512300.5, 5339520.1")
     header = [cell.lower() for cell in rows[0]]
+    # A header is known by its names; else the number of columns tells what they are.
     if {"x", "y"} <= set(header) or {"line", "sample"} <= set(header):
         names: tuple[str, ...] = tuple(header)
         rows = rows[1:]
@@ -429,6 +447,7 @@ def _cells(cells: Mapping[str, str], names: tuple[str, ...], number: int,
     values: list[float | None] = []
     for name in names:
         cell = cells.get(name, "")
+        # A height may be unknown: the DEM gives it, or none is needed.
         if not cell and name == "z":
             values.append(None)
             continue
@@ -456,6 +475,7 @@ def open_session(files: Files, folder: Path, *, remote: bool = False,
         _require_same(files, before, folder)
         served = None
         image = None
+        # The browser itself loads an image of a IIIF server; nothing is read here.
         if files.image is not None and is_iiif(files.image):
             served = fetched(files.image, remote)
             files = replace(files, size=served.size)
@@ -463,6 +483,7 @@ def open_session(files: Files, folder: Path, *, remote: bool = False,
             image = Raster(files.image, remote)
         if image is not None:
             stack.callback(image.close)
+        # Files of features begin a session; the journal has them afterwards.
         features = None
         if before is None and (files.points or files.lines):
             features = termsel.read(files.points, files.lines, crs=files.crs)
@@ -470,17 +491,21 @@ def open_session(files: Files, folder: Path, *, remote: bool = False,
         maps = open_maps(files.maps, crs, remote)
         stack.callback(maps.close)
         crs = crs or _crs_of_maps(maps)
+        # Without a map the control is drawn in its own CRS, if that is plane.
         if not (maps.rasters or maps.vectors or maps.tiles):
             maps.shown = shown_crs(horizontal(crs) or LOCAL)
         session_places = Places(crs, maps.shown, None if files.dem is None else Path(files.dem))
         stack.callback(session_places.close)
+        # Once all files have been opened: a session that cannot begin leaves no journal.
         if before is None:
             journal.begin(replace(files, crs=crs).header(folder))
         session = Session(replace(files, crs=crs), folder, journal, control, image, maps,
                           places=session_places, notes=list(maps.notes), served=served)
         if features is not None:
+            # Through the journal, so that reading them can be undone.
             session.change([Patch(None, record) for record in records_of(features)])
         worker.tell = session.answered
+        # Only now: changes above would be judged while the session is half made.
         session.worker = worker
         session.judge()
         yield session
@@ -504,6 +529,7 @@ def _remove_empty(folder: Path) -> None:
 
 def _require_same(files: Files, before: Files | None, folder: Path) -> None:
     """Refuse to go on with a session of another image."""
+    # An image may be added later, or be left out.
     if before is None or files.image is None or before.image is None:
         return
     if files.image != before.image and \
@@ -519,6 +545,7 @@ def records_of(features: FeatureSet) -> list[Record]:
                 "ground": _with_none(ground)}
                for name, role, image, ground in zip(points.ids, points.roles, points.image.tolist(),
                                                     points.ground.tolist(), strict=True)]
+    # Lines of one feature get names of their own: on the page each is measured alone.
     counts: dict[str, int] = {}
     for name, image, ground in zip(features.lines.ids, features.lines.image.tolist(),
                                    features.lines.ground.tolist(), strict=True):
@@ -535,6 +562,7 @@ def _with_none(ground: list[float]) -> list[float | None]:
 
 def _crs(files: Files, features: FeatureSet | None, kept: Files | None) -> str | None:
     """Return the CRS of the ground coordinates, as far as files and options say it."""
+    # Coordinates in the journal are in the CRS that it began with.
     if kept is not None and kept.crs is not None:
         before = normalise(kept.crs)
         if files.crs is not None and normalise(files.crs) != before:
@@ -545,6 +573,7 @@ def _crs(files: Files, features: FeatureSet | None, kept: Files | None) -> str |
         return normalise(files.crs)
     if features is not None and features.crs:
         return features.crs
+    # The CRS of all RPC: longitude, latitude and ellipsoidal height.
     return "EPSG:4979" if files.rpc is not None else None
 
 

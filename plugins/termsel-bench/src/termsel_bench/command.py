@@ -79,7 +79,9 @@ def bench(method_names: tuple[str, ...], solvers: tuple[str, ...], problem: str 
     own_methods = _own_methods(method_names, solvers, problem, models, packages,
                                parse_settings(settings))
     methods = _with_others(own_methods, without_others=without_others)
+    # At most one task; without one methods are run.
     named = [name for name, value in tasks.items() if value is not None]
+    # A file of results must not say itself what code is run.
     trusted = packages if checked is not None else ()
     other_options = method_names or solvers or models or (packages
                                           and not trusted) or without_others or folder or real
@@ -87,6 +89,7 @@ def bench(method_names: tuple[str, ...], solvers: tuple[str, ...], problem: str 
         raise TermselError(f"{named[0]} goes with no method and no other task",
                            hint="Give it with --sets or --quick alone; --check also with "
                                 "--package, which says what code of the results may run.")
+    # A check repeats the sets that its file names, of either suite.
     if suite == "measured" and checked is None:
         names = _measured(pattern, quick=quick)
     else:
@@ -109,6 +112,7 @@ def _own_methods(names: Sequence[str], solvers: Sequence[str], problem: str | No
 
     if options and not solvers and not models:
         raise TermselError("--set is an option of no method", hint="Add --solver or --model.")
+    # A problem without a solver would silently be ignored.
     if problem and not solvers:
         raise TermselError("--problem is for solvers", hint="Add --solver NAME.")
     return [*(Method("method", name) for name in names),
@@ -144,6 +148,7 @@ def _measured(pattern: str, *, quick: bool) -> list[str]:
     names = measured_names(pattern)
     if not quick:
         return names
+    # The first of each kind, so that a quick run sees all kinds.
     of_kind = [[name for name in names if name.startswith(source.kind)] for source in SOURCES]
     return [names_of_kind[0] for names_of_kind in of_kind if names_of_kind]
 
@@ -157,6 +162,7 @@ def _run(methods: Sequence[Method], names: Sequence[str], real: Path | None, pro
     from termsel_bench.tables import by_kind, losses
 
     if folder is not None:
+        # Before hours of work, not after.
         require_replaceable([folder / "table.csv", folder / "index.html"], reads=[],
                             overwrite=overwrite, makes_folder=True)
     folders = [] if real is None else real_folders(real)
@@ -169,6 +175,7 @@ def _run(methods: Sequence[Method], names: Sequence[str], real: Path | None, pro
             echo(f"{len(scored)} of {total}: {score.set_name}", err=True)
     header, rows = by_kind(scored)
     print_table(header, rows)
+    # Measured sets have blunders among their hidden points: a mean would show those alone.
     figure = "median error of hidden points" if scored[0].set_name.startswith(MEASURED) \
         else "RMSE of independent check points"
     echo(f"\nMedian ratio of the {figure} to the least of each set.")
@@ -210,6 +217,7 @@ def _write_files(folder: Path, names: Sequence[str], *, overwrite: bool) -> None
     from termsel_bench.scenes.croissant import described
 
     require_replaceable([folder / METADATA], reads=[], overwrite=overwrite, makes_folder=True)
+    # All of them first: what fails leaves no folder.
     sets = [simulated(name) for name in names]
     folder.mkdir(parents=True, exist_ok=True)
     refuse_links(folder)
@@ -252,4 +260,5 @@ def _check(folder: Path, pattern: str, processes: int, packages: Sequence[str]) 
          f"{checked.worst:.2%}", "refuted: " + ", ".join(checked.refuted) if checked.refuted
          else "confirmed")
         for checked in checks])
+    # So that a script notices.
     return REFUTED if any(checked.refuted for checked in checks) else 0

@@ -50,6 +50,7 @@ def add_commands(cli: click.Group) -> None:
 
 def reference_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options of commands that look at a reference."""
+    # click shows options in the opposite order of their decorators.
     for option in reversed((
             click.option("--dem", metavar="FILE", type=_FILE, help="Raster of heights of the "
                                                                    "area."),
@@ -90,6 +91,7 @@ def matcher_of(name: str | None, settings: tuple[str, ...]) -> Matcher | None:
         if not (key and sign):
             raise TermselError(f"--set {text!r} is not KEY=VALUE",
                                hint="Give an option and its value, such as weights=FILE.")
+    # The matcher itself checks what its options may be.
     matcher: Matcher = get("matchers", name)(**{key: value for key, _, value in pairs})
     return matcher
 
@@ -119,6 +121,7 @@ def match_points(image: Path, reference: Path, output: Path, overwrite: bool, qu
     from termsel import write_points_csv
     from termsel_match.points.candidates import match_points as match
 
+    # Before minutes of matching, not after.
     refuse_output(output, overwrite, image, reference, *options.values())
     show_log()
     with bar("match-points", quiet) as progress:
@@ -126,7 +129,9 @@ def match_points(image: Path, reference: Path, output: Path, overwrite: bool, qu
                            matcher=matcher_of(matcher, settings), **options)
     write_points_csv(candidates.points, output, candidates.crs)
     click.echo(f"Start: {candidates.start}")
+    # By what was found in each cell: candidates, clouds or nothing.
     cells = sum(candidates.cells.values())
+    # A CRS without a code is a text of many lines.
     crs = candidates.crs if len(candidates.crs) < 40 else "of the reference"
     click.echo(f"{len(candidates.points)} candidates in {candidates.cells.get('found', 0)} of "
                f"{cells} cells of the image, CRS {crs}")
@@ -173,6 +178,7 @@ def match_lines(image: Path, vectors: Path, iterate: bool, folder: Path | None, 
     from termsel_match.lines.rounds import iterate_lines
 
     refuse_output(output, overwrite, image, vectors, *options.values())
+    # Only an iteration has a result to keep.
     if folder is not None and not iterate:
         raise TermselError("--out requires --iterate", hint="Add --iterate, or leave --out out.")
     refuse_folder(folder)
@@ -291,6 +297,7 @@ def auto_georeference(context: click.Context, /, image: Path, output: Path, fold
     from termsel_match.chain import georeference
 
     refuse_output(output, options["overwrite"], image, dem, *options.values())
+    # Required only here: other commands share the option.
     if dem is None:
         raise TermselError("auto-georeference requires heights", hint="Give --dem FILE.")
     refuse_folder(folder)
@@ -299,6 +306,7 @@ def auto_georeference(context: click.Context, /, image: Path, output: Path, fold
         done = georeference(image, output=output, dem=dem, folder=folder, progress=progress,
                             matcher=matcher_of(matcher, settings), **options)
     click.echo(done.text(), nl=False)
+    # A bad map is worse than none: the reasons are in the text above.
     if done.reasons:
         click.echo("No map was written.", err=True)
         context.exit(NOT_GOOD_ENOUGH)
@@ -339,6 +347,7 @@ def next_map(image: Path, reference: Path, points: Path, dem: Path | None,
     words = ["termsel auto-georeference", quote(str(image)), "--points", quote(str(points)),
              "--reference", quote(str(reference)),
              "--dem", "DEM" if dem is None else quote(str(dem))]
+    # The start is needed again: the image itself may state none.
     words += [] if start is None else ["--start", quote(start)]
     for mask in masks:
         words += ["--mask", quote(mask)]
@@ -364,6 +373,7 @@ def refuse_output(output: Path, overwrite: bool, *reads: object) -> None:
 
     A link is followed where the user typed its name.
     """
+    # Nobody has asked for the default name: a link of that name may lead anywhere.
     if click.get_current_context().get_parameter_source("output") is ParameterSource.DEFAULT:
         refuse_link(output)
     require_replaceable([output], reads=reads, overwrite=overwrite)
@@ -394,6 +404,7 @@ class _OnStderr(logging.Handler):
 def show_log() -> None:
     """Print what this package logs on stderr."""
     logger = logging.getLogger("termsel.match")
+    # A program may run several commands: one handler is enough.
     if not logger.handlers:
         logger.addHandler(_OnStderr())
         logger.setLevel(logging.INFO)
@@ -406,8 +417,10 @@ def bar(title: str, quiet: bool) -> Iterator[Callable[[float], None] | None]:
     if quiet:
         yield None
         return
+    # A bar in a log file would be thousands of lines.
     if sys.stderr.isatty():
         with click.progressbar(length=1000, label=title, file=sys.stderr) as progress_bar:
+            # click counts steps, not shares.
             yield lambda share: progress_bar.update(round(1000 * share) - progress_bar.pos)
         return
     last_report = monotonic()

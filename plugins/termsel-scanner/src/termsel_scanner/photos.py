@@ -82,8 +82,10 @@ class Photo(Physical):
 
     def local(self, ground: FloatArray) -> FloatArray:
         """Return scaled places in metres east, north and up of the control's middle, (n, 3)."""
+        # A local frame is plane already.
         if self.crs in ("", "local"):
             return np.asarray(ground * known(self.scaling).ground_scale)
+        # In space, as the Earth bends by metres within a photo.
         middle = self.geographic(np.zeros((1, 3)))
         axes = axes_at(*middle[0, :2])
         return np.asarray((geocentric(self.geographic(ground)) - geocentric(middle)) @ axes.T)
@@ -91,11 +93,13 @@ class Photo(Physical):
     def starts(self, features: FeatureSet) -> FloatArray:
         """Return the values of terms from which a fit begins: those of an affine transformation."""
         slopes = self.slopes_of(features)
+        # How north is seen tells the turn; the area of a unit square tells the scale.
         turn = np.arctan2(slopes[1, 1], slopes[0, 1])
         some = np.zeros((3, len(self.terms)))
         some[:, self.terms.index("turn")] = turn / TURN
         some[:, self.terms.index("scale")] = np.log(
             np.sqrt(np.abs(np.linalg.det(slopes)) + 1e-12) * self._extent()) / SCALE
+        # Three starts: short, usual and long focal lengths have minima of their own.
         some[:, self.terms.index("focal")] = (-1.0, 0.0, 1.0)
         of_view = self.starts_of_view(features) if self.options["oblique"] else some[:0]
         return of_view if len(of_view) else some
@@ -105,12 +109,14 @@ class Photo(Physical):
         """
         points = features.points
         pinhole = pinhole_of(FeatureSet(points, crs=self.crs), known(self.scaling))
+        # The middle of the points must be in front of the camera.
         if pinhole is None or not pinhole.matrix[2, 0] > 0.0:
             return np.zeros((0, len(self.terms)))
         # f (q1, q2) and q3 of 1, X, Y and Z, without the principal point.
         away = np.append(pinhole.camera.middle[0], 0.0)
         matrix = pinhole.matrix - np.outer(away, pinhole.matrix[2])
         steps = self.local(np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0]]))[:, :2]
+        # By metres to the east and to the north instead of scaled X and Y.
         plane = matrix[:, 1:3] @ np.linalg.inv((steps[:2] - steps[2]).T)
         focal = float(pinhole.camera.focal[0])
         return np.array([self._start_of(plane, matrix[:, 0], focal, pinhole.camera.middle[0])])
@@ -122,9 +128,11 @@ class Photo(Physical):
         `plane`, (3, 2), and `middle`, (3,), are of east, north and the middle of the ground, about
         the principal point.
         """
+        # Without the focal length it is a rotation times a scale.
         columns = plane / np.array([[focal], [focal], [1.0]])
         size = float(np.linalg.norm(columns, axis=0).mean())
         turn, tilts = _angles(columns, mirrored=bool(self.options["mirrored"]))
+        # Where the middle is seen from the principal point.
         away = middle[:2] / middle[2]
         seen = principal + away
         values = dict.fromkeys(self.terms, 0.0) | {
@@ -140,6 +148,7 @@ class Photo(Physical):
 
         Their determinant is positive where lines run to the south and samples to the east.
         """
+        # Heights are left out: a tilt would take them up, and be wrong.
         plan = self.local(features.points.ground)[:, :2]
         return np.asarray(np.linalg.lstsq(np.column_stack([np.ones(len(plan)), plan]),
                                           features.points.image)[0][1:])
@@ -158,6 +167,7 @@ class Photo(Physical):
         sine = np.sin(TURN * x["turn"])
         cosine = np.cos(TURN * x["turn"])
         none = np.zeros_like(sine)
+        # Axes of a level camera: line to the south, sample to the east, view downwards.
         down = -1.0 if self.options["mirrored"] else 1.0
         level = np.stack([np.stack([down * sine, -down * cosine, none], axis=1),
                           np.stack([cosine, sine, none], axis=1),
@@ -171,6 +181,7 @@ class Photo(Physical):
             turned = turned.copy()
             turned[:, i] = c * one - s * view
             turned[:, 2] = s * one + c * view
+        # Relative to the middle of the control, and by the distance of the camera from it.
         places = self.local(ground) @ turned.transpose(0, 2, 1)
         return np.asarray(places * (scale / focal)[:, None, None] + ray[:, None, :]), \
             focal[:, None]
@@ -193,12 +204,14 @@ def _angles(columns: FloatArray, *, mirrored: bool) -> tuple[float, tuple[float,
     They are those that `Photo.seen` turns the level axes by: lines about samples, then samples
     about what results.
     """
+    # The nearest matrix with orthonormal columns (Procrustes).
     u, _, v = np.linalg.svd(columns, full_matrices=False)
     east, north = (u @ v).T
     up = np.cross(east, north) * (1.0 if mirrored else -1.0)
     line, sample, view = np.column_stack([east, north, up])
     if view[2] > 0.0:  # a camera looks down
         line, sample, view = (axis * [1.0, 1.0, -1.0] for axis in (line, sample, view))
+    # Tilts are undone in the opposite order: the second first.
     second = float(np.arctan(-sample[2] / min(view[2], -1e-9)))
     level = np.cos(second) * sample + np.sin(second) * view
     between = np.cos(second) * view - np.sin(second) * sample
@@ -230,11 +243,14 @@ class Frame(Photo):
         """Return scaled positions on the film (p, n, 2), about where the middle is seen."""
         middle = MIDDLE * np.stack([x["middle-line"], x["middle-sample"]], axis=1)
         focal = FOCAL * np.exp(FOCAL_SPREAD * x["focal"])
+        # Towards the middle of the control, which need not be the principal point.
         ray = np.column_stack([middle / focal[:, None], np.ones(len(focal))])
         places, focal = self.seen(x, ground, ray)
+        # Central projection; behind the camera nothing is seen.
         ideal = focal[..., None] * places[..., :2] / np.where(
             places[..., 2:] > 0, places[..., 2:], np.nan)
         radius = (ideal**2).sum(axis=2, keepdims=True)
+        # Distortion grows with the third power of the radius.
         bent = RADIAL / known(self.scaling).image_scale * x["radial"][:, None, None] * radius
         line, sample = np.moveaxis(ideal * (1.0 + bent), -1, 0)
         affinity = FILM * x["affinity"][:, None]
@@ -265,8 +281,10 @@ class Panoramic(Photo):
         slit, angle = (MIDDLE * x[name] / focal for name in ("middle-line", "middle-sample"))
         places, focal = self.seen(x, ground, np.stack(
             [slit, np.sin(angle), np.cos(angle)], axis=1))
+        # The film is a cylinder: across the track angles are lengths.
         across = np.arctan2(places[..., 1], places[..., 2])
         along = places[..., 0] / np.hypot(places[..., 1], places[..., 2])
+        # The compensation moves the film by the sine of the angle of the slit.
         moved = MOTION * x["motion"][:, None]
         return np.asarray(focal[..., None] * np.stack([
             along - slit[:, None] + moved * (np.sin(across) - np.sin(angle)[:, None]),
@@ -284,6 +302,7 @@ class FewOfPhoto(Method):
         features = control.features
         if len(features.lines) or len(features.points) < FEWEST:
             return f"it is for {FEWEST} to {MOST} control points, without lines"
+        # Without relief tilt and focal length are not told apart.
         if features.without_height():
             return "it needs heights"
         # Tilt and focal length would be guesses elsewhere.
@@ -298,6 +317,7 @@ class FewOfPhoto(Method):
         assert isinstance(model, Photo)
         *plan, up = model.local(points.ground).T
         columns = np.column_stack([np.ones(len(up)), *plan])
+        # Heights off a plane: a plane seen at a slant is only tilted ground.
         rest = up - columns @ np.linalg.lstsq(columns, up)[0]
         return bool(np.linalg.norm(rest) > RELIEF * np.sqrt(np.var(plan, axis=1).sum()))
 
@@ -319,6 +339,7 @@ class FewOfPhoto(Method):
         """Fit the camera by all features."""
         model = self.camera().prepared(control.scaling, control.features.crs)
         assert isinstance(model, Photo)
+        # A negative determinant: east and north are seen the other way round.
         model = self.camera(mirrored=bool(np.linalg.det(model.slopes_of(control.scaled)) < 0),
                             oblique=self._is_oblique(control))
         fitted = self.estimator.fit(model, control.features, control.scaling,

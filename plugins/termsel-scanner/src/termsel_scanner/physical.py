@@ -107,11 +107,13 @@ class Physical(SensorModel):
     def slopes(self, values: FloatArray, ground: FloatArray) -> FloatArray:
         """Return derivatives of image positions by the terms, shape (n, 2, k)."""
         steps = STEP * np.eye(len(values))
+        # Central differences, of all terms in one call.
         both = self.image_of(np.concatenate([values + steps, values - steps]), ground)
         return np.moveaxis(both[:len(values)] - both[len(values):], 0, -1) / (2 * STEP)
 
     def prior(self) -> FloatArray:
         """Return the weights of the pseudo-observations that terms are 0, shape (k,)."""
+        # A term of one standard deviation weighs as much as an error of the size of the noise.
         weights = np.full(len(self.terms), NOISE / known(self.scaling).image_scale)
         weights[:self.free] = 0.0
         return weights
@@ -132,6 +134,7 @@ class Physical(SensorModel):
         parts = []
         for ground in (features.points.ground, features.lines.ground.reshape(-1, 3)):
             columns = self.slopes(coefficients, ground)
+            # image(x) = image(x0) + J (x - x0): the constant part is image(x0) - J x0.
             parts += [columns, self.image_of(coefficients[None], ground)[0]
                       - columns @ coefficients]
         found = image_equations(features, *parts[::2], *parts[1::2])
@@ -144,6 +147,7 @@ class Physical(SensorModel):
         start sees the points.
         """
         try:
+            # Bytes, as neither models nor points can be keys of a cache.
             asked = pickle.dumps((self, features.points))
         except (AttributeError, TypeError, pickle.PicklingError):
             # The class is defined in a function, or an option is no plain value.
@@ -157,11 +161,13 @@ class Physical(SensorModel):
         away = (points.image - self.image_of(values[None], points.ground)[0]) \
             * _weight(features) / unit
         large = np.linalg.norm(away, axis=1)
+        # Square near 0, linear beyond, and smooth where they meet.
         loss = np.where(large > HUBER, 2 * HUBER * large - HUBER**2, large**2)
         return float(loss.sum() + ((self.prior() / unit * values) ** 2).sum()), away
 
     def _bent(self, values: FloatArray, step: FloatArray, ground: FloatArray) -> FloatArray:
         """Return how far image positions at the end of a step are off its tangent, (n, 2)."""
+        # The second derivative along the step, by a central difference.
         ends = values + BEND * np.array([[1.0], [0.0], [-1.0]]) * step
         ahead, middle, back = self.image_of(ends, ground)
         return np.asarray((ahead - 2 * middle + back) / (2 * BEND**2))
@@ -190,13 +196,16 @@ class Physical(SensorModel):
         if not np.isfinite(now):
             return None
         while steps < ROUNDS and damping < 1e8:
+            # Weights of the reweighted squares whose gradient is that of Huber's loss.
             turned = np.sqrt(HUBER / np.maximum(np.linalg.norm(away, axis=1), HUBER))[:, None]
             A = (self.slopes(values, points.ground) * (turned * weight / unit)[..., None]).reshape(
                 -1, len(values))
             if not np.isfinite(A).all():
                 return None
+            # The negative gradient, of priors, too.
             right = A.T @ (turned * away).ravel() - size**2 * values
             normal = A.T @ A + np.diag(size**2)
+            # Damped in proportion to the diagonal, so that units of terms do not count.
             inverse = np.linalg.pinv(normal + damping * np.diag(np.diag(normal) + 1e-12),
                                      hermitian=True)
             full = inverse @ right
@@ -205,6 +214,7 @@ class Physical(SensorModel):
             aside = inverse @ (A.T @ (turned * weight / unit * bent).ravel())
             if np.isfinite(aside).all() and np.linalg.norm(aside) < AHEAD * np.linalg.norm(full):
                 full = full - aside
+            # A step is taken only where it helps; else a shorter one is tried.
             there, left = self.cost(features, values + full)
             steps += 1
             if not there < now:
@@ -239,10 +249,12 @@ class RobustFit(Estimator):
         if not found.converged:
             raise Undetermined(f"the fit of {model.name!r} did not converge in {found.steps} steps",
                                hint="Measure more control, or name the sensor.")
+        # From here on the camera counts as linear about the solution.
         equations = ready.linearised(scaled, found.values)
         values = found.values
         left, effective, errors = _left_out(equations, values, len(mine.points))
         count = round(effective)
+        # Deviations under a prior are not those of least squares.
         unknown = np.full(len(values), np.nan)
         freedom = max(len(left) - effective, 1.0)
         weight = _weight(scaled)
@@ -263,6 +275,7 @@ class RobustFit(Estimator):
         assert equations.prior is not None
         # Priors keep their weight, whatever the noise turned out to be.
         normal = equations.A.T @ equations.A / noise**2 + np.diag((equations.prior / unit) ** 2)
+        # Of the covariance of the terms, so that variances are sums of squares.
         root = np.linalg.cholesky(np.linalg.pinv(normal, hermitian=True)
                                   + 1e-14 * np.eye(len(values)))
         factors = model.slopes(values, ground) @ root
@@ -271,6 +284,7 @@ class RobustFit(Estimator):
 
     def noise(self, fitted: Fit) -> float:
         """Return the scaled standard deviation of a measurement, as the residuals tell it."""
+        # Few points may fit by chance: no measurement is that good.
         return max(fitted.adjustment.sigma0, 0.3 * NOISE / fitted.scaling.image_scale)
 
 
@@ -290,6 +304,7 @@ class ShiftFit(RobustFit):
         """Fit a camera (see `Estimator.fit`), or hold it against its own lattice."""
         ready = model.prepared(scaling, control.crs)
         mine = control.take(used)
+        # A computed lattice has no errors of measurement to be corrected by.
         errors = as_stated(ready, FitData(mine, scaling, heights=True))
         if errors is None:
             return super().fit(model, control, scaling, terms, used)
@@ -322,8 +337,10 @@ class ShiftFit(RobustFit):
         usual /= fitted.scaling.image_scale
         experience = EXPERIENCE if points.sigma is None else STATED
         residual_freedom = max(2 * len(points) - fitted.effective, 0.0)
+        # Squares of experience and of residuals together, each by its freedom.
         freedom = experience + residual_freedom
         squares = experience * usual**2 + residual_freedom * fitted.adjustment.sigma0**2
+        # The normal interval of this noise is then Student's of the freedom.
         widened = stdtrit(freedom, INTERVAL) / ndtri(INTERVAL)
         return float(np.sqrt(squares / freedom) * widened)
 
@@ -335,6 +352,7 @@ def as_stated(ready: Physical, control: FitData) -> FloatArray | None:
     """
     if control.lattice is None:
         return None
+    # Values of 0: the camera as metadata state it.
     points = control.scaled.points
     seen = ready.image_of(np.zeros((1, len(ready.terms))), points.ground)[0]
     errors = (points.image - seen) * control.scaling.image_scale
@@ -361,6 +379,7 @@ def _best(model: Physical, points: Points) -> Solution:
 def _weight(features: FeatureSet) -> FloatArray:
     """Return the weights of points by their stated standard deviations, shape (n, 2)."""
     sigma = features.points.sigma
+    # By the median, so that the usual point weighs 1.
     return np.ones((len(features.points), 2)) if sigma is None else \
         np.asarray(np.median(sigma) / sigma)
 
@@ -375,8 +394,10 @@ def _left_out(equations: Equations, values: FloatArray, count: int,
     prior = equations.prior
     assert prior is not None
     left = equations.b - A @ values
+    # The hat matrix: fitted from measured values.
     gain = A @ np.linalg.pinv(A.T @ A + np.diag(prior**2), hermitian=True) @ A.T
     rows = np.arange(2 * count).reshape(count, 2)
+    # r / (1 - h), for both coordinates of a point at once.
     own = np.eye(2) - gain[rows[:, :, None], rows[:, None, :]]
     errors = np.linalg.solve(own + 1e-9 * np.eye(2), left[rows][..., None])[..., 0]
     return left, float(np.trace(gain)), np.asarray(errors, dtype=np.float64)

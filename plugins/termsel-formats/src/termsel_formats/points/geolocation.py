@@ -98,11 +98,13 @@ class GeolocationArray(Reader):
         if self.options["latitude"] is not None:
             return True
         if head.lstrip().startswith(b"<VRTDataset"):
+            # By text, as opening it would open all that it names.
             return b'domain="GEOLOCATION"' in head or b"ongitude</Description>" in head
         if not head.startswith(_MAGIC):
             return False
         try:
             with open_raster(path) as raster:
+                # Any image may have such a domain: only GDAL knows.
                 return bool(raster.tags(ns="GEOLOCATION")) or _named_bands(raster) is not None
         except TermselError:
             return False
@@ -118,6 +120,7 @@ class GeolocationArray(Reader):
         """Return the arrays of a file, with the files that they are in open on the stack."""
         raster = stack.enter_context(open_raster(path))
         domain = raster.tags(ns="GEOLOCATION")
+        # An option goes before what metadata say.
         if domain and self.options["latitude"] is None:
             return _of_domain(path, raster, domain, stack)
         numbers = _named_bands(raster)
@@ -131,6 +134,7 @@ class GeolocationArray(Reader):
             raise TermselError("no bands of this raster are called longitude and latitude",
                                file=path, hint=_HINT)
         step = self._pair("array_step", 1.0)
+        # With steps of its own an array does not tell the size of its image.
         size = raster.shape if (step == 1.0).all() else None
         return Arrays(_bands(bands, path), raster.shape, self._pair("array_first", 0.0), step,
                       "", size)
@@ -156,6 +160,7 @@ def _named_bands(raster: Any) -> list[int] | None:
     names = [str(name or "").strip().casefold() for name in raster.descriptions]
     numbers: list[int | None] = []
     for accepted in (LONGITUDES, LATITUDES, HEIGHTS):
+        # rasterio counts bands from 1.
         numbers.append(next((names.index(name) + 1 for name in accepted if name in names), None))
     return None if None in numbers[:2] else [number for number in numbers if number is not None]
 
@@ -176,6 +181,7 @@ def _of_domain(path: Path, raster: Any, domain: dict[str, str], stack: ExitStack
                       int(_number(domain, f"{axis}_BAND", 1.0, path))))
     offset = np.array([_number(domain, f"{axis}_OFFSET", 0.0, path) for axis in ("LINE", "PIXEL")])
     step = np.array([_number(domain, f"{axis}_STEP", 1.0, path) for axis in ("LINE", "PIXEL")])
+    # A lattice must go on; GDAL knows no other order.
     if not (step > 0.0).all():
         raise TermselError("its domain GEOLOCATION has a step that is not positive", file=path,
                            hint=_HINT)
@@ -280,6 +286,7 @@ def _taken(arrays: Arrays, meshes: int, shift: float = 0.0) -> tuple[FloatArray,
     """
     selected = []
     for size in arrays.shape:
+        # A small array has fewer meshes than asked for.
         count = min(meshes, size - 1)
         # Nodes are the ends of the meshes; shifted by a half, their middles, one fewer.
         steps = np.arange(count + (shift == 0.0)) + shift
@@ -287,10 +294,12 @@ def _taken(arrays: Arrays, meshes: int, shift: float = 0.0) -> tuple[FloatArray,
     rows = []
     for index in selected[0]:
         bands = [band(int(index))[selected[1]] for band in arrays.bands]
+        # NaN is an unknown height.
         bands += [np.full(len(selected[1]), np.nan)] * (3 - len(bands))
         rows.append(np.stack(bands, axis=1))
     nodes = np.stack(np.meshgrid(*selected, indexing="ij"), axis=-1).reshape(-1, 2)
     ground = np.concatenate(rows)
+    # Arrays have gaps, as over water or outside the swath.
     finite = np.isfinite(ground[:, 0])
     degrees = np.abs(ground[finite, 0]).max(initial=0.0) <= 360.0
     if degrees and finite.any() and np.ptp(ground[finite, 0]) > 180.0:  # across the date line
@@ -319,9 +328,11 @@ def _error_between(arrays: Arrays, lattice: tuple[FloatArray, FloatArray]) -> fl
         return 0.0
     middle = np.nanmean(ground[finite], axis=0)
     half = np.maximum(np.ptp(ground[finite], axis=0) / 2.0, 1e-9)
+    # A smooth model first: interpolation of its small residuals is then exact enough.
     columns = _columns((ground[finite] - middle) / half)
     solution = np.linalg.lstsq(columns, image[finite])[0]
     residuals = image[finite] - columns @ solution
+    # What the model leaves, linear between the nodes.
     interpolated = griddata(image[finite], residuals, between[has_ground], rescale=True)
     predicted = _columns((at[has_ground] - middle) / half) @ solution + np.nan_to_num(interpolated)
     errors = (between[has_ground] - predicted)[np.isfinite(interpolated).all(axis=1)]
@@ -332,6 +343,7 @@ def _columns(ground: FloatArray) -> FloatArray:
     x, y, z = np.nan_to_num(ground).T
     plane = []
     with_height = []
+    # Powers up to the third in the plane; up to the second with the height.
     for i in range(4):
         plane += [x**i * y**j for j in range(4 - i)]
     for i in range(3):
