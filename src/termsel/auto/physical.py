@@ -132,7 +132,7 @@ def _averaged(measurements: Measurements, scaling: Scaling, crs: str,
     if slopes is None or physical is None:
         return None
     weights = None if points.sigma is None else weights_of(points)
-    # Scaled heights in pixels: how far relief moves a point, by the slope of the image.
+    # Scaled heights in px: how far relief moves a point, by the slope of the image.
     height = scaling.ground_scale[2] * float(np.linalg.norm(slopes, axis=1).mean())
     averages = []
     shrunken = []

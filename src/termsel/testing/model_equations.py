@@ -176,7 +176,7 @@ def fit(model: SensorModel) -> None:
     features = FeatureSet(Points(points.ids, scaling.pixels(points.image),
                                  scaling.unscaled(points.ground)), crs=model.crs)
     exact = fit_model(features, model)
-    # In pixels, as `fit` takes features that are not scaled.
+    # In px, as `fit` takes features that are not scaled.
     image = scaling.pixels(model.project(truth, ground))
 
     def error_of(fitted: Fit) -> float:

@@ -148,7 +148,7 @@ def _apart(answer: Taken, result: Result, image: FloatArray, ground: FloatArray,
         xy = transformation(horizontal(answer.crs), horizontal(crs), strict=False)(
             np.column_stack([xy, np.zeros(len(xy))]))[:, :2]
     reached = np.column_stack([xy, ground[:, 2]])
-    # In pixels: where the model sees the place to which the program puts the pixel.
+    # In px: where the model sees the place to which the program puts the pixel.
     pixels = np.linalg.norm(result.project(reached) - image, axis=1)
     comparable = np.isfinite(pixels)
     if not comparable.any():
