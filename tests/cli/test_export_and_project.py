@@ -283,7 +283,7 @@ def test_project_says_which_rays_meet_no_ground(folder: Path, tmp_path: Path) ->
     *_, err = _termsel("project", folder, "--points", tmp_path / "pixels.csv", "--inverse",
                        "--dem", dem)
     first = ", ".join(f"corner{i}" for i in range(10))
-    assert err == f"Warning: no position was found for 12 points: {first} ...\n"
+    assert err == f"Warning: no position was found for 12 points: {first} and 2 more\n"
 
 
 def test_a_plane_model_locates_without_heights(tmp_path: Path) -> None:

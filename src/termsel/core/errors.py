@@ -153,9 +153,9 @@ def amount(number: int, noun: str = "") -> str:
 
 
 def first_of(names: Sequence[str], limit: int = 10) -> str:
-    """Return the first names of a list, with dots where there are more."""
-    dots = " ..." if len(names) > limit else ""
-    return ", ".join(names[:limit]) + dots
+    """Return the first names of a list, and how many more there are."""
+    unnamed = len(names) - limit
+    return ", ".join(names[:limit]) + (f" and {unnamed:,} more" if unnamed > 0 else "")
 
 
 @contextmanager

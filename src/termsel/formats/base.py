@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
 
-from termsel.core.errors import TermselError
+from termsel.core.errors import TermselError, first_of
 from termsel.core.files.atomic import private_folder
 from termsel.core.files.names import is_open_pipe, is_there, refuse_pipe
 from termsel.core.isolation.arrays import returns
@@ -204,9 +204,9 @@ def image_of(path: Path, images: Iterable[_Image], asked_for: _Image | None, opt
     names_in_file = sorted(set(images))
     name = names_in_file[0] if asked_for is None and len(names_in_file) == 1 else asked_for
     if name is None or name not in names_in_file:
-        names = ", ".join(f"{image:g}" if isinstance(image, float) else image or "without a name"
-                          for image in names_in_file)
-        raise TermselError(f"the file has points of the images {names}", file=path,
+        names = [f"{image:g}" if isinstance(image, float) else image or "without a name"
+                 for image in names_in_file]
+        raise TermselError(f"the file has points of the images {first_of(names)}", file=path,
                            hint=f"Choose one with --set {option}.")
     return name
 

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -24,12 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from termsel import TermselError
+from termsel_scanner.elements import as_number, number_of, seconds_of, text_of
 from termsel_scanner.product import HINT as _HINT
 from termsel_scanner.product import archive_of, changed, chosen, content_of, images_of
 
 FloatArray = NDArray[np.float64]
-
-EPOCH = datetime(2000, 1, 1)
 
 ORBIT_MARGIN = 60.0
 """Time before and after the image of which state vectors are kept [s]."""
@@ -194,7 +192,7 @@ def lattice_of(path: Path) -> tuple[LatticePoint, ...]:
     if not points:
         raise TermselError(f"{path}: geolocationGridPointList has no points", hint=_HINT)
     try:
-        return tuple(LatticePoint(*(_number(point, name) for name in (
+        return tuple(LatticePoint(*(number_of(point, name) for name in (
             "line", "pixel", "longitude", "latitude", "height"))) for point in points)
     except TermselError as error:
         raise TermselError(f"{path}: {error.what}", hint=_HINT) from error
@@ -205,14 +203,14 @@ def _from_xml(root: ElementTree.Element, name: str) -> Annotation:
     if root.tag != "product" or not mission.startswith("S1"):
         raise TermselError("it is no annotation of a Sentinel-1 product")
     image = "imageAnnotation/imageInformation"
-    start = _time(_text(root, f"{image}/productFirstLineUtcTime"))
-    lines = int(_number(root, f"{image}/numberOfLines"))
-    samples = int(_number(root, f"{image}/numberOfSamples"))
-    interval = _number(root, f"{image}/azimuthTimeInterval")
+    start = seconds_of(text_of(root, f"{image}/productFirstLineUtcTime"))
+    lines = int(number_of(root, f"{image}/numberOfLines"))
+    samples = int(number_of(root, f"{image}/numberOfSamples"))
+    interval = number_of(root, f"{image}/azimuthTimeInterval")
     if not interval > 0 or min(lines, samples) < 1:
         raise TermselError("the interval of lines or the size of the image is not positive")
     times, states = _orbit(root, start, lines * interval)
-    in_ground_range = "ground" in _text(
+    in_ground_range = "ground" in text_of(
         root, "generalAnnotation/productInformation/projection").lower()
     ground_ranges = _ground_ranges(root, start) if in_ground_range else ()
     lines_per_burst = int(float(root.findtext("swathTiming/linesPerBurst") or 0))
@@ -221,11 +219,11 @@ def _from_xml(root: ElementTree.Element, name: str) -> Annotation:
                         for key in ("swath", "productType", "polarisation"))]
     return Annotation(
         source=name, product=" ".join(filter(None, parts)),
-        start=_text(root, f"{image}/productFirstLineUtcTime"), size=(lines, samples),
-        line_interval=interval, line_spacing=_number(root, f"{image}/azimuthPixelSpacing"),
-        sample_spacing=_number(root, f"{image}/rangePixelSpacing"),
-        first_range_time=_number(root, f"{image}/slantRangeTime"),
-        sampling_rate=_number(root, "generalAnnotation/productInformation/rangeSamplingRate"),
+        start=text_of(root, f"{image}/productFirstLineUtcTime"), size=(lines, samples),
+        line_interval=interval, line_spacing=number_of(root, f"{image}/azimuthPixelSpacing"),
+        sample_spacing=number_of(root, f"{image}/rangePixelSpacing"),
+        first_range_time=number_of(root, f"{image}/slantRangeTime"),
+        sampling_rate=number_of(root, "generalAnnotation/productInformation/rangeSamplingRate"),
         times=_nested(times), positions=_nested(states[:, :3]),
         velocities=_nested(states[:, 3:]), ground_ranges=ground_ranges,
         bursts=bursts, lines_per_burst=lines_per_burst, area=_area(root),
@@ -245,9 +243,9 @@ def _middle_range_time(root: ElementTree.Element, start: float, interval: float,
     names = ("line", "slantRangeTime", "azimuthTime")
     if not points or any(point.find(name) is None for point in points for name in names):
         return None
-    lines = np.array([_number(point, "line") for point in points])
-    range_times = np.array([_number(point, "slantRangeTime") for point in points])
-    times = np.array([_time(_text(point, "azimuthTime")) - start for point in points])
+    lines = np.array([number_of(point, "line") for point in points])
+    range_times = np.array([number_of(point, "slantRangeTime") for point in points])
+    times = np.array([seconds_of(text_of(point, "azimuthTime")) - start for point in points])
     origins = bursts or (Burst(time=0.0, line=0),)
     number = np.searchsorted([burst.line for burst in origins], lines, side="right") - 1
     first_lines = np.array([burst.line for burst in origins])[number]
@@ -263,7 +261,7 @@ def _area(root: ElementTree.Element) -> tuple[tuple[float, ...], ...]:
     points = root.findall(LATTICE)
     if not points:
         return ()
-    places = np.array([[_number(point, name) for name in ("longitude", "latitude", "height")]
+    places = np.array([[number_of(point, name) for name in ("longitude", "latitude", "height")]
                        for point in points])
     if np.ptp(places[:, 0]) > 180.0:  # across the date line
         places[:, 0] %= 360.0
@@ -277,8 +275,8 @@ def _orbit(root: ElementTree.Element, start: float, duration: float,
     frames = {(vector.findtext("frame") or "Earth Fixed").strip() for vector in vectors}
     if frames - {"Earth Fixed"}:
         raise TermselError(f"its orbit is in the frame {sorted(frames)[0]!r}, not Earth Fixed")
-    times = np.array([_time(_text(vector, "time")) - start for vector in vectors])
-    states = np.array([[_number(vector, f"{part}/{axis}")
+    times = np.array([seconds_of(text_of(vector, "time")) - start for vector in vectors])
+    states = np.array([[number_of(vector, f"{part}/{axis}")
                         for part in ("position", "velocity") for axis in "xyz"]
                        for vector in vectors]).reshape(-1, 6)
     near = (times > -ORBIT_MARGIN) & (times < duration + ORBIT_MARGIN)
@@ -295,10 +293,11 @@ def _ground_ranges(root: ElementTree.Element, start: float) -> tuple[GroundRange
     records = root.findall("coordinateConversion/coordinateConversionList/coordinateConversion")
     found = []
     for record in records:
-        words = _text(record, "srgrCoefficients").split()
+        words = text_of(record, "srgrCoefficients").split()
         found.append(GroundRange(
-            time=_time(_text(record, "azimuthTime")) - start, origin=_number(record, "sr0"),
-            coefficients=tuple(_as_number("srgrCoefficients", word) for word in words)))
+            time=seconds_of(text_of(record, "azimuthTime")) - start,
+            origin=number_of(record, "sr0"),
+            coefficients=tuple(as_number("srgrCoefficients", word) for word in words)))
     times = np.array([polynomial.time for polynomial in found])
     if not found or (np.diff(times) <= 0).any() or any(
             not polynomial.coefficients for polynomial in found):
@@ -308,37 +307,8 @@ def _ground_ranges(root: ElementTree.Element, start: float) -> tuple[GroundRange
 
 def _bursts(root: ElementTree.Element, start: float, lines: int) -> tuple[Burst, ...]:
     """Return the bursts of a TOPS image."""
-    return tuple(Burst(time=_time(_text(burst, "azimuthTime")) - start, line=number * lines)
+    return tuple(Burst(time=seconds_of(text_of(burst, "azimuthTime")) - start, line=number * lines)
                  for number, burst in enumerate(root.findall("swathTiming/burstList/burst")))
-
-
-def _text(element: ElementTree.Element, name: str) -> str:
-    text = element.findtext(name)
-    if text is None:
-        raise TermselError(f"the element {name} is missing")
-    return text.strip()
-
-
-def _number(element: ElementTree.Element, name: str) -> float:
-    return _as_number(name, _text(element, name))
-
-
-def _as_number(name: str, text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = np.nan
-    if not np.isfinite(value):
-        raise TermselError(f"the element {name} has {text[:40]!r}, which is no number")
-    return value
-
-
-def _time(text: str) -> float:
-    """Return a time such as 2021-04-01T05:26:23.794457 as seconds from the epoch."""
-    try:
-        return (datetime.fromisoformat(text.removesuffix("Z")) - EPOCH).total_seconds()
-    except (ValueError, TypeError) as error:
-        raise TermselError(f"{text[:40]!r} is no time") from error
 
 
 def _nested(values: FloatArray) -> Any:

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from datetime import datetime
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -25,6 +24,7 @@ from numpy.typing import NDArray
 
 from termsel import TermselError
 from termsel.toolkit import read_data
+from termsel_scanner.elements import number_of, seconds_of, text_of
 
 FloatArray = NDArray[np.float64]
 
@@ -104,16 +104,16 @@ def _from_dimap(root: ElementTree.Element, name: str) -> Metadata:
     if level != "1A":
         raise TermselError(f"it is of level {level}, whose lines are no longer those of the camera")
     stamp = "Sensor_Configuration/Time_Stamp"
-    start = _time(_text(strip, f"{stamp}/SCENE_CENTER_TIME"))
+    start = seconds_of(text_of(strip, f"{stamp}/SCENE_CENTER_TIME"))
     points = strip.findall("Ephemeris/Points/Point")
-    times = np.array([_time(_text(point, "TIME")) - start for point in points])
-    states = np.array([[_number(point, f"{part}/{axis}") for part in ("Location", "Velocity")
+    times = np.array([seconds_of(text_of(point, "TIME")) - start for point in points])
+    states = np.array([[number_of(point, f"{part}/{axis}") for part in ("Location", "Velocity")
                         for axis in "XYZ"] for point in points]).reshape(-1, 6)
-    period = _number(strip, f"{stamp}/LINE_PERIOD")
-    lines, samples = (int(_number(root, f"Raster_Dimensions/{name}"))
+    period = number_of(strip, f"{stamp}/LINE_PERIOD")
+    lines, samples = (int(number_of(root, f"Raster_Dimensions/{name}"))
                       for name in ("NROWS", "NCOLS"))
     moments, angles = _attitude(strip, start)
-    line = _number(strip, f"{stamp}/SCENE_CENTER_LINE") - 1.0
+    line = number_of(strip, f"{stamp}/SCENE_CENTER_LINE") - 1.0
     ends = np.array([-line, lines - 1.0 - line]) * period
     if not period > 0 or min(lines, samples) < 1:
         raise TermselError("the line period or the size of the image is not positive")
@@ -148,8 +148,8 @@ def _attitude(strip: ElementTree.Element, start: float) -> tuple[FloatArray, Flo
                  if (one.findtext("OUT_OF_RANGE") or "N").strip().upper() != "Y"]
         if not found:
             continue
-        times = np.array([_time(_text(one, "TIME")) - start for one in found])
-        values = np.array([[_number(one, name) for name in ANGLES] for one in found])
+        times = np.array([seconds_of(text_of(one, "TIME")) - start for one in found])
+        values = np.array([[number_of(one, name) for name in ANGLES] for one in found])
         if where.endswith("Speeds"):  # by trapezia; the biases take what is constant
             steps = np.diff(times)[:, None] * (values[1:] + values[:-1]) / 2
             values = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
@@ -162,40 +162,12 @@ def _looks(strip: ElementTree.Element) -> FloatArray:
     """Return detectors, of which the first is 1, with their two look angles, (m, 3)."""
     first = strip.find("Sensor_Configuration/Instrument_Look_Angles_List/Instrument_Look_Angles")
     found = [] if first is None else first.findall("Look_Angles_List/Look_Angles")
-    looks = np.array([[_number(one, name) for name in ("DETECTOR_ID", "PSI_X", "PSI_Y")]
+    looks = np.array([[number_of(one, name) for name in ("DETECTOR_ID", "PSI_X", "PSI_Y")]
                       for one in found]).reshape(-1, 3)
     if len(looks) < 2 or (np.diff(looks[:, 0]) <= 0).any() or not (
             (np.diff(looks[:, 2]) > 0).all() or (np.diff(looks[:, 2]) < 0).all()):
         raise TermselError("Instrument_Look_Angles_List has no two detectors in a row")
     return looks
-
-
-def _text(element: ElementTree.Element, name: str) -> str:
-    found = element.findtext(name)
-    if found is None:
-        raise TermselError(f"the element {name} is missing")
-    return found.strip()
-
-
-def _number(element: ElementTree.Element, name: str) -> float:
-    text = _text(element, name)
-    try:
-        value = float(text)
-    except ValueError:
-        value = np.nan
-    if not np.isfinite(value):
-        raise TermselError(f"the element {name} is {text!r}, which is no number")
-    return value
-
-
-def _time(text: str) -> float:
-    """Return a time such as 2008-03-04T12:31:03.081912 as seconds."""
-    day, _, fraction = text.removesuffix("Z").partition(".")
-    try:
-        return (datetime.fromisoformat(day) - datetime(1980, 1, 1)).total_seconds() + float(
-            f"0.{fraction or 0}")
-    except (ValueError, TypeError) as error:
-        raise TermselError(f"{text!r} is no time") from error
 
 
 def _frozen(value: Any) -> Any:

@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from termsel.core.errors import TermselError
+from termsel.core.errors import TermselError, first_of
 from termsel.data.coordinates.crs import UTM, normalise, transformation
 from termsel.data.coordinates.metres import is_in_degrees
 from termsel.data.features import BoolArray, FeatureSet, FloatArray
@@ -64,8 +64,8 @@ def _two_zones(features: FeatureSet) -> str:
             # Which of the two is the zone of the CRS, the coordinates do not tell.
             direction = "west" if neighbour < zone else "east"
             return (f"{len(ids)} of {len(features.points)} points look as if they were in the zone "
-                    f"of UTM {direction} of that of the others: {_listed(ids)}. Transform them "
-                    "into one zone, and state its CRS.")
+                    f"of UTM {direction} of that of the others: {first_of(ids, NAMED)}. "
+                    "Transform them into one zone, and state its CRS.")
     return ""
 
 
@@ -123,8 +123,3 @@ def _error(image: FloatArray, ground: FloatArray) -> float:
     design = np.column_stack([np.ones(len(plan)), plan])
     residuals = image - design @ np.linalg.lstsq(design, image)[0]
     return float(np.sqrt((residuals**2).sum(axis=1).mean()))
-
-
-def _listed(ids: list[str]) -> str:
-    unnamed = len(ids) - NAMED
-    return ", ".join(ids[:NAMED]) + (f" and {unnamed} more" if unnamed > 0 else "")

@@ -5,13 +5,13 @@ Where axes are exchanged, one image hardly shows it; the others of its batch do.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from termsel.core.errors import counted
+from termsel.core.errors import counted, first_of
 from termsel.data.coordinates.earth import degrees_of, in_words, is_mirrored, swapped
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray
 
@@ -27,9 +27,6 @@ SCATTER = 20.0
 DIGITS, PLACES = 2, 3000
 """Decimals of a place [deg] that are looked at, and most places that are held against each other.
 """
-
-NAMED = 10
-"""Images that a sentence names."""
 
 ELSEWHERE = "are coordinates and CRS right?"
 """What is asked of images far from the others where nothing more is known."""
@@ -73,7 +70,7 @@ def batch_of(settings: Mapping[str, Mapping[str, Any]]) -> Batch:
     sentences: list[str] = []
     doubts: dict[str, list[str]] = {}
     for sentence, images in (*_elsewhere(settings), *_mirrored(settings)):
-        sentences.append(f"{sentence}: {_listed(list(images))}.")
+        sentences.append(f"{sentence}: {first_of(list(images))}.")
         for name, doubt in images.items():
             doubts.setdefault(name, []).append(doubt)
     return Batch(tuple(sentences), {name: tuple(texts) for name, texts in doubts.items()})
@@ -190,8 +187,3 @@ def _groups(linked: BoolArray) -> list[IntArray]:
     # Components of the graph of neighbours: a chain of images is one group.
     number, label = connected_components(linked, directed=False)
     return [np.flatnonzero(label == i) for i in range(number)]
-
-
-def _listed(names: Sequence[str]) -> str:
-    unnamed = len(names) - NAMED
-    return ", ".join(names[:NAMED]) + (f" and {unnamed} more" if unnamed > 0 else "")

@@ -1,0 +1,51 @@
+"""Texts, numbers and times in elements of XML, with messages that name the element."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from xml.etree import ElementTree
+
+import numpy as np
+
+from termsel import TermselError
+
+EPOCH = datetime(2000, 1, 1)
+"""Which day does not matter: times are only ever subtracted from one another."""
+
+_LONGEST = 40
+"""Characters of a text that a message repeats."""
+
+
+def text_of(element: ElementTree.Element, name: str) -> str:
+    """Return the text of a child, by its path."""
+    text = element.findtext(name)
+    if text is None:
+        raise TermselError(f"the element {name} is missing")
+    return text.strip()
+
+
+def number_of(element: ElementTree.Element, name: str) -> float:
+    """Return the number in a child."""
+    return as_number(name, text_of(element, name))
+
+
+def as_number(name: str, text: str) -> float:
+    """Return a text of the element of that name as a finite number."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = np.nan
+    if not np.isfinite(value):
+        raise TermselError(f"the element {name} has {text[:_LONGEST]!r}, which is no number")
+    return value
+
+
+def seconds_of(text: str) -> float:
+    """Return a time such as 2021-04-01T05:26:23.794457 in seconds from `EPOCH`."""
+    # The fraction may have more digits than a datetime keeps.
+    whole, _, fraction = text.removesuffix("Z").partition(".")
+    try:
+        return (datetime.fromisoformat(whole) - EPOCH).total_seconds() + float(
+            f"0.{fraction or 0}")
+    except (ValueError, TypeError) as error:
+        raise TermselError(f"{text[:_LONGEST]!r} is no time") from error
