@@ -200,24 +200,55 @@ class _Basis:
         return np.asarray(sums if self.to_eigenvectors is None else self.to_eigenvectors.T @ sums)
 
 
+@dataclass(frozen=True, eq=False)
+class _Reflections:
+    """The complete orthogonal matrix Q of a QR factorisation, as I - V T V'.
+
+    That is the product of f Householder reflections I - tau v v' (Schreiber and Van Loan 1989). A
+    product of Q and a matrix (n, n) takes n^2 f operations instead of n^3.
+    """
+
+    vectors: FloatArray  # (n, f): V
+    triangle: FloatArray  # (f, f): T, upper triangular
+
+    @classmethod
+    def of(cls, columns: FloatArray) -> _Reflections:
+        """Return the Q that makes some columns (n, f) triangular."""
+        packed, factors = np.linalg.qr(columns, mode="raw")
+        vectors = np.triu(packed, 1).T
+        np.fill_diagonal(vectors, 1.0)
+        triangle = np.diag(factors)
+        for i in range(1, len(factors)):
+            triangle[:i, i] = -factors[i] * (triangle[:i, :i] @ (vectors[:, :i].T @ vectors[:, i]))
+        return cls(vectors, triangle)
+
+    def __call__(self, matrix: FloatArray) -> FloatArray:
+        """Return Q times a matrix (n, m)."""
+        return np.asarray(matrix - self.vectors @ (self.triangle @ (self.vectors.T @ matrix)))
+
+    def transposed(self, matrix: FloatArray) -> FloatArray:
+        """Return the transpose of Q times a matrix (n, m)."""
+        return np.asarray(matrix - self.vectors @ (self.triangle.T @ (self.vectors.T @ matrix)))
+
+
 def _basis(lead: FloatArray, positions: FloatArray, weights: FloatArray,
            field_columns: SplineColumns) -> _Basis | None:
     """Return the eigenvectors, or None if the points do not determine an affine function."""
     n, f = lead.shape
     if n < f + 2:
         return None
-    all_points = field_columns.root is None
-    complete_q = np.linalg.qr(lead, mode="complete" if all_points else "reduced")[0]
-    q = complete_q[:, :f]
-    complement = complete_q[:, f:]
+    q = np.linalg.qr(lead)[0]
     if np.linalg.matrix_rank(lead, TOLERANCE) < f or \
             (1.0 - (q**2).sum(axis=1)).min() < TOLERANCE:
         return None
-    if all_points:
-        # The kernel is positive on what affine functions leave alone.
-        values, u = np.linalg.eigh(
-            complement.T @ (field_columns(positions) * np.outer(weights, weights)) @ complement)
-        u = complement @ u
+    if field_columns.root is None:
+        # Every point has a kernel. On what affine functions leave the kernels are positive: that
+        # is what the last n - f rows and columns of Q' K Q are, of the complete Q.
+        reflections = _Reflections.of(lead)
+        kernels = field_columns(positions) * np.outer(weights, weights)
+        free = reflections.transposed(reflections.transposed(kernels).T)[f:, f:]
+        values, vectors = np.linalg.eigh(free)
+        u = reflections(np.vstack([np.zeros((f, n - f)), vectors]))
         # Rounding makes values of points at one place a little negative.
         return _Basis(np.maximum(values, TOLERANCE**2 * values.max(initial=0.0)), q,
                       lambda batch: np.asarray(u[batch]), None)
