@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import termsel
+from termsel.report.pictures import with_margins
 
 altair = pytest.importorskip("altair")
 pytest.importorskip("vl_convert")
@@ -116,3 +117,10 @@ def test_axes_on_the_ground_have_units(crs: str, unit: float | None,
     view: Any = SimpleNamespace(record=SimpleNamespace(data=SimpleNamespace(crs=crs)),
                                 units_per_metre=unit)
     assert maps._axes(view) == axes
+
+
+def test_a_drawing_has_a_margin_for_wider_letters() -> None:
+    drawn = with_margins('<svg width="600" height="99.5" viewBox="0 0 600 99.5">'
+                         '<rect width="600" height="99.5" fill="#ffffff"/><g/></svg>')
+    assert drawn == ('<svg width="664" height="99.5" viewBox="-18 0 664 99.5">'
+                     '<rect x="-18" width="664" height="99.5" fill="#ffffff"/><g/></svg>')

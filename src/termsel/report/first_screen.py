@@ -11,7 +11,7 @@ from termsel.core.errors import amount, counted, cut, percent
 from termsel.data.coordinates.crs import LOCAL, short
 from termsel.data.record.figures import MANY_INDEPENDENT, BaselineRow, Outlier
 from termsel.data.record.record import Record, WhatWasRead
-from termsel.report.accuracy import accuracy_lines, lattice_of
+from termsel.report.accuracy import accuracy_lines, lattice_of, reused_points
 from termsel.report.blocks import Fact
 from termsel.report.compared import label_of
 from termsel.report.verdict import off_option
@@ -428,7 +428,10 @@ def _search(record: Record) -> Iterator[str]:
 
 def _warnings(record: Record) -> list[str]:
     """Return what is urgent, then each note that nothing above it says."""
-    return [*_urgent(record), *(note for note in record.notes if note and not _is_shown(note))]
+    accuracy = record.accuracy
+    reused = accuracy is not None and bool(reused_points(accuracy))
+    return [*_urgent(record), *(note for note in record.notes if note and not _is_shown(note)
+                                and not (reused and " no longer independent: " in note))]
 
 
 def _cautions(warnings: Sequence[str], room: int) -> Iterator[Fact]:

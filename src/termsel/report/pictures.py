@@ -13,6 +13,12 @@ from termsel.core.isolation.helper import Helper, ProcessEndedError
 SCALE = 2.0
 """Pixels of a PNG for each pixel of the screen."""
 
+LEFT, RIGHT = 18, 46
+"""Px that a drawing is wider on the left and on the right."""
+
+_SIZE = re.compile(r'(?P<head><svg [^>]*)width="(?P<width>[\d.]+)" height="(?P<height>[\d.]+)" '
+                   r'viewBox="0 0 [\d. ]+"><rect width="[\d.]+" ')
+
 _DRAWING = """
 import os, pickle, signal, sys
 signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -75,7 +81,21 @@ def picture(chart: Any, suffix: str) -> bytes:
     if isinstance(drawn, str):
         # The first line of what the library says; the others are a trace of its own code.
         raise _undrawn(next((line for line in map(str.strip, drawn.splitlines()) if line), drawn))
-    return bytes(drawn)
+    return with_margins(drawn.decode()).encode() if suffix == ".svg" else bytes(drawn)
+
+
+def with_margins(svg: str) -> str:
+    """Return a drawing with a margin for letters wider than those that it was measured with.
+
+    A browser without Helvetica takes another font, in which long labels reach beyond the drawing.
+    """
+    def widened(found: re.Match[str]) -> str:
+        width = float(found["width"]) + LEFT + RIGHT
+        height = found["height"]
+        return (f'{found["head"]}width="{width:g}" height="{height}" '
+                f'viewBox="{-LEFT} 0 {width:g} {height}"><rect x="{-LEFT}" width="{width:g}" ')
+
+    return _SIZE.sub(widened, svg, count=1)
 
 
 def bundle(snippet: str) -> str:

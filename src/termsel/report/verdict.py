@@ -6,6 +6,7 @@ import shlex
 from collections.abc import Iterator
 
 from termsel.core.display.numbers import rounded
+from termsel.data.record.figures import BlunderTest
 from termsel.data.record.record import Record
 from termsel.report.blocks import Block, TableBlock
 from termsel.report.compared import ROLE_WORDS
@@ -28,6 +29,16 @@ def contradicting(record: Record) -> str:
     return wrong[0] if len(wrong) == 1 else f"{len(wrong)} outliers among them"
 
 
+def _none_detected(test: BlunderTest | None) -> str:
+    """Return that no outlier was detected, and how large one may be."""
+    if test is None:
+        return "Outliers were not tested."
+    if test.limit is None or test.limit > test.extent:
+        return f"No outlier can be detected: {test.features} features are too few."
+    return (f"No outliers detected. At half of the {test.features} features, an error must exceed "
+            f"{rounded(test.limit)} px to be detected.")
+
+
 def verdict_table(record: Record) -> Iterator[Block]:
     """Yield all features that contradict the others, and those that were not needed."""
     outliers = record.outliers
@@ -45,7 +56,7 @@ def verdict_table(record: Record) -> Iterator[Block]:
     else:
         yield "Outliers were tested in an earlier run, not here." \
             if record.options.data.get("tested") else \
-            "No outliers detected; the first lines give the smallest detectable size."
+            _none_detected(record.blunder_test)
     certainties = {outlier.certainty for outlier in outliers}
     if "probable" in certainties:
         yield "A probable blunder is more likely wrong than right: look at it in the image."

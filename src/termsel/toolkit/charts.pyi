@@ -2,6 +2,7 @@ from termsel.report.accuracy import expected_of as expected_of
 from termsel.report.accuracy import predicted_first as predicted_first
 from termsel.report.blocks import Fact as Fact
 from termsel.report.charts.search import with_unit as with_unit
+from termsel.report.compared import label_of as label_of
 from termsel.report.first_screen import first_screen as first_screen
 from termsel.report.plots import save as save
 from termsel.report.text import text_of as text_of

@@ -10,6 +10,7 @@ from typing import Any
 
 from termsel import Study, TableBlock
 from termsel.toolkit import counted, printable
+from termsel.toolkit.charts import label_of
 from termsel.toolkit.files import markdown_text
 from termsel.toolkit.studies import VERDICTS, Row, usual_notes
 from termsel_studies.claims import claims
@@ -33,10 +34,11 @@ def tables_of(study: Study, *, brief: bool = False) -> tuple[list[TableBlock], l
     ----------
     study : Study
     brief : bool
-        Whether the table of an instance has the main columns alone, as a terminal shows it.
+        Whether tables have at most five columns, as a terminal shows them.
     """
     rows = study.rows
-    tables = [_images([row for row in rows if row["strategy"] == "auto"])]
+    images = [row for row in rows if row["strategy"] == "auto"]
+    tables = [_main_columns(images) if brief else _images(images)]
     if study.spec.strategies == ("auto",):
         return [table for table in tables if table.rows], []
     groups = group(rows, study.records, study.spec.measure)
@@ -80,19 +82,45 @@ def _images(rows: list[Row]) -> TableBlock:
               "blunders", *(["without height"] if without else []), "place", "notes"]
     lines = []
     for row in rows:
-        name = str(row["data"]) + (f", split {row['split']}" if row["split"] else "")
-        metres = row["independent_m"] if row["predicted_m"] is None else row["predicted_m"]
-        lines.append((name, row["verdict"] or row["state"], row["why"] or "",
-                      str(row["chosen"] or row["state"]), _predicted(row),
-                      "" if metres is None else f"{metres:.3g}", shown(row["independent"], 3),
+        model = label_of(row["chosen"]) if row["chosen"] else row["state"]
+        lines.append((_image(row), row["verdict"] or row["state"], row["why"] or "",
+                      model, _predicted(row), _metres(row), shown(row["independent"], 3),
                       ", ".join(row["blunders"] or ()),
                       *([str(row["without_height"] or "")] if without else []),
                       row["place"] or "", _said(row, usual)))
+    return TableBlock(_counts(rows), tuple(header), lines, keys=[row["cell"] for row in rows])
+
+
+def _main_columns(rows: list[Row]) -> TableBlock:
+    """Return one row an image in five columns; what to look at stands in the last."""
+    usual = usual_notes(rows)
+    lines = []
+    for row in rows:
+        remarks = [f"blunders: {', '.join(row['blunders'])}"] if row["blunders"] else []
+        if row["verdict"] != VERDICTS[0]:  # it is not fit for use
+            remarks += filter(None, [row["why"] or _said(row, usual)])
+        lines.append((_image(row), row["verdict"] or row["state"], _predicted(row), _metres(row),
+                      "; ".join(remarks)))
+    return TableBlock(_counts(rows), ("image", "verdict", "RMSE [px]", "RMSE [m]", "look at"),
+                      lines, keys=[row["cell"] for row in rows])
+
+
+def _image(row: Row) -> str:
+    return str(row["data"]) + (f", split {row['split']}" if row["split"] else "")
+
+
+def _metres(row: Row) -> str:
+    """Return the RMSE on the ground: predicted, or else of independent check points."""
+    metres = row["independent_m"] if row["predicted_m"] is None else row["predicted_m"]
+    return "" if metres is None else f"{metres:.3g}"
+
+
+def _counts(rows: list[Row]) -> str:
+    """Return how many images there are, and how many have which verdict."""
     verdicts = Counter(row["verdict"] for row in rows if row["verdict"])
     counts = ", ".join(f"{verdicts[verdict]} {verdict}" for verdict in VERDICTS
                        if verdicts[verdict])
-    title = f"{counted(len(rows), 'image')}, worst first" + (f": {counts}" if counts else "")
-    return TableBlock(title, tuple(header), lines, keys=[row["cell"] for row in rows])
+    return f"{counted(len(rows), 'image')}, worst first" + (f": {counts}" if counts else "")
 
 
 def _said(row: Row, usual: Container[str]) -> str:

@@ -23,9 +23,9 @@ REPORT = "report.html"
 FILES = ("summary.md", "summary.tex", REPORT, "figures")
 """Files and folders that `write` writes."""
 
-_SMALL = ("Arrows are the residuals of all features: blue of control, orange of check, black "
-          "(white on a dark page) of independent check points. Red rings are probable "
-          "blunders. Each drawing has its own scale.")
+_SMALL = ("Arrows are the residuals of all features: blue at control points, orange "
+          "at selection points, black (white on a dark page) at independent check points. Red "
+          "rings mark probable blunders. Each drawing has its own scale.")
 
 
 def report(study: Study, charts: list[Figure] | None = None) -> str:

@@ -26,6 +26,8 @@ from termsel_block.shown.record import BlockRecord, WrongControl, WrongTie, time
 from termsel_block.shown.summary import facts, read_in, reason_of
 
 # Ties in a picture.
+_SIGMA_COLOURS = ("#2a84c7", "#a0709c", "#d9621a")
+"""Colours of dots from a small to a large uncertainty, seen on light and dark pages."""
 _DRAWN_TIES = 3000
 # Images in the picture of their RMSE.
 _IMAGES = 40
@@ -159,7 +161,7 @@ def _map(result: BlockResult) -> Any:
         x=x, y=y, order="order:Q", detail="image:N", color=colour)
     points = alt.Chart(chart_rows(dots)).mark_circle(size=30, opacity=1.0).encode(
         x=x, y=y, fill=alt.Fill("sigma:Q", title="sigma of height [m]",
-                                scale=alt.Scale(scheme="viridis")))
+                                scale=alt.Scale(range=_SIGMA_COLOURS)))
     triangles = alt.Chart(chart_rows(marks)).mark_point(
         shape="triangle-up", size=90, filled=False, color=INK, strokeWidth=1.5).encode(x=x, y=y)
     return alt.layer(hulls, points, triangles).resolve_scale(color="independent").properties(
