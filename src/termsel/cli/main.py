@@ -160,6 +160,9 @@ class Commands(click.Group):
             for line in _suggested(sys.argv[1:] if args is None else args, error):
                 echo(line, err=True)
             sys.exit(CORRECTABLE)
+        except click.MissingParameter as error:
+            echo(_missing(error), err=True)
+            sys.exit(CORRECTABLE)
         except click.ClickException as error:
             page = io.StringIO()
             error.show(page)
@@ -217,6 +220,27 @@ def _refuse_repeated(command: click.Command, words: list[str]) -> None:
         if times > 1 and isinstance(option, click.Option) and not (
                 option.multiple or option.is_flag or option.count):
             raise click.UsageError(f"{option.opts[0]} is given {times} times; it takes one value.")
+
+
+def _missing(error: click.MissingParameter) -> str:
+    """Return which option or argument is missing, what it is, and an example of the command."""
+    param = error.param
+    if param is None or error.ctx is None:
+        return f"Error: {error.format_message()}"
+    name = param.metavar or param.human_readable_name
+    about = ""
+    if isinstance(param, click.Option):
+        name = f"{param.opts[0]} {param.metavar or ''}".strip()
+        first = (param.help or "").partition(". ")[0].rstrip(".")
+        about = f": {first[:1].lower()}{first[1:]}" if first else ""
+    lines = [f"Error: {name} is missing{about}."]
+    path = error.ctx.command_path
+    examples = [line.strip().removesuffix("\\").rstrip()
+                for line in (error.ctx.command.help or "").splitlines()
+                if line.strip().startswith(f"{path} ")]
+    if examples:
+        lines.append(f"For example: {examples[0]}")
+    return "\n".join([*lines, f"All options: {path} --help"])
 
 
 def _near(error: click.ClickException) -> str:

@@ -226,7 +226,7 @@ def _rpc(result: Result) -> RpcFit | None:
         # Why there is no RPC matters only to those who look for it.
         rpc_fit = rpc_of(result.fit)
     except TermselError as error:
-        log.info("%s.", error.what)
+        log.debug("%s.", error.what)  # what the map lacks is said when it is written
         return None
     # A map is a box, and shows ground beyond the part of an oblique image that the RPC follows.
     return rpc_fit if rpc_fit.worst <= GOOD and not rpc_fit.excluded_part else None
@@ -235,8 +235,8 @@ def _rpc(result: Result) -> RpcFit | None:
 def _say(result: Result, grid: MapGrid, crs_note: str, share: float,
          dem: Path | str | None) -> None:
     """Log what the map is, and which share of the image it shows."""
-    log.info("Map: %d lines and %d samples of %g %s in %s%s, with %s of the image.", grid.lines,
-             grid.samples, grid.transform.a, grid.unit, short(grid.crs), crs_note,
+    log.info("Map: %d x %d px of %g %s in %s%s, with %s of the image.", grid.samples,
+             grid.lines, grid.transform.a, grid.unit, short(grid.crs), crs_note,
              "all" if share == 1 else f"about {100 * share:.0f} %")
     if share < 1:
         log.warning("Warning: about %.0f %% of the image is not on the map, as %s.",

@@ -35,6 +35,8 @@ _CONTRADICTED = 2.0
 """Times the upper end of the predicted RMSE beyond which independent points contradict it."""
 _ALIKE = 1.05
 """Ratio of two RMSE below which the difference is of no practical use."""
+_CHANCE = 1.15
+"""Ratio up to which a model that was not chosen may be better by chance, in leave-one-out."""
 _DEGREES = {1: "affine", 2: "quadratic", 3: "cubic"}
 _DIMENSIONS = {"poly2d": "2-D", "poly3d": "3-D"}
 
@@ -380,7 +382,11 @@ def _verdict(record: Record, own_rmse: float, rival_rmse: float) -> str:
     if record.strategy:
         if similar:
             return "no practical difference"
-        return f"{_times(rival_rmse / own_rmse)} as large" if rival_rmse > own_rmse else \
+        if rival_rmse > own_rmse:
+            return f"{_times(rival_rmse / own_rmse)} as large"
+        # The choice has kept to the simpler model, or averages, where the difference is small.
+        chosen = len(record.strategy.candidates) > 1
+        return "the difference may be chance" if chosen and own_rmse <= _CHANCE * rival_rmse else \
             f"{label_of(record.reference)} is better by {100 * (1 - rival_rmse / own_rmse):.0f} %"
     if similar:
         return "the search gains nothing"

@@ -125,8 +125,8 @@ def write_sigma(
         nodes = _Nodes.of(result, grid, surface)
         precision = (f"interpolated, within {100 * nodes.error:.2g} % of the model at {_TESTED} "
                      "places")
-        log.info("Uncertainty: %d lines and %d samples of %g %s in %s, %s.",
-                 *(grid.lines, grid.samples, grid.transform.a, grid.unit, grid.crs, precision))
+        log.info("Uncertainty: %d x %d px of %g %s in %s, %s.",
+                 *(grid.samples, grid.lines, grid.transform.a, grid.unit, grid.crs, precision))
         if nodes.error > TOLERANCE:
             log.warning("Warning: between the nodes of the finest grid the uncertainty differs by "
                         "up to %.0f %%. Give smaller --bounds.", 100 * nodes.error)

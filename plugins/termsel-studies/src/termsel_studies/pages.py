@@ -19,6 +19,9 @@ from termsel_studies.groups import Groups, group
 from termsel_studies.significance import compare_methods, effect_size, medians_of
 from termsel_studies.summaries import Summary, summaries
 
+_REASONS = 10
+"""Images whose reasons a terminal shows."""
+
 
 def remarks_of(study: Study) -> list[str]:
     """Return what is said of the images together: which stand out, and the notes of most."""
@@ -92,17 +95,25 @@ def _images(rows: list[Row]) -> TableBlock:
 
 
 def _main_columns(rows: list[Row]) -> TableBlock:
-    """Return one row an image in five columns; what to look at stands in the last."""
-    usual = usual_notes(rows)
-    lines = []
-    for row in rows:
-        remarks = [f"blunders: {', '.join(row['blunders'])}"] if row["blunders"] else []
-        if row["verdict"] != VERDICTS[0]:  # it is not fit for use
-            remarks += filter(None, [row["why"] or _said(row, usual)])
-        lines.append((_image(row), row["verdict"] or row["state"], _predicted(row), _metres(row),
-                      "; ".join(remarks)))
-    return TableBlock(_counts(rows), ("image", "verdict", "RMSE [px]", "RMSE [m]", "look at"),
+    """Return one row an image in five columns."""
+    lines = [(_image(row), row["verdict"] or row["state"], _predicted(row), _metres(row),
+              ", ".join(row["blunders"] or ())) for row in rows]
+    return TableBlock(_counts(rows), ("image", "verdict", "RMSE [px]", "RMSE [m]", "blunders"),
                       lines, keys=[row["cell"] for row in rows])
+
+
+def reasons_of(study: Study) -> list[str]:
+    """Return why images are not fit for use, the worst first; of many only how many more."""
+    images = [row for row in study.rows if row["strategy"] == "auto"]
+    usual = usual_notes(images)
+    lines = []
+    for row in images:
+        reason = row["why"] or _said(row, usual)
+        if row["verdict"] != VERDICTS[0] and reason:
+            image = _image(row)
+            lines.append(reason if reason.startswith(image) else f"{image}: {reason}")
+    more = len(lines) - _REASONS
+    return [*lines[:_REASONS], f"{more} more: study.csv has all reasons"] if more > 0 else lines
 
 
 def _image(row: Row) -> str:

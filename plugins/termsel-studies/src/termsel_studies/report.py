@@ -13,7 +13,7 @@ from termsel.toolkit import Document, Figure, Section, counted, page, require_al
 from termsel.toolkit.charts import save, styled, text_of
 from termsel.toolkit.studies import IMAGES, folders_of
 from termsel_studies.figures import figures_of
-from termsel_studies.pages import latex, markdown, remarks_of, tables_of
+from termsel_studies.pages import latex, markdown, reasons_of, remarks_of, tables_of
 from termsel_studies.small import small_map
 
 log = logging.getLogger(__name__)
@@ -53,9 +53,10 @@ def _document(study: Study, charts: list[Figure], pictures: dict[str, str], *,
             drawn = [pictures.get(key, "") for key in table.keys] if pictures else ()
             images.append(replace(table, keys=(), pictures=drawn))
     legend = [_SMALL] if pictures and images else []
+    reasons = reasons_of(study) if brief else []
     sections = (
         Section("What may be claimed", tuple(sentences)),
-        Section("Images", (*remarks_of(study), *legend, *images)),
+        Section("Images", (*remarks_of(study), *legend, *images, *reasons)),
         Section("Tables", tuple(table for table in tables if not table.keys)),
         Section("Charts", tuple(charts)))
     only_images = study.spec.strategies == ("auto",)
