@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.io.example import FILES, README
-from termsel.simulate.example import NOISE, SENSOR, VENDOR
+from termsel.io.example import EXAMPLE_FILES, README
+from termsel.simulate.example import EXAMPLE_NOISE, SENSOR, VENDOR
 
 pytest.importorskip("rasterio")
 pytest.importorskip("pyproj")
@@ -24,15 +24,15 @@ def files(example_files: Path) -> Path:
 
 
 def test_readme_names_every_file(files: Path) -> None:
-    assert {one.name for one in files.iterdir()} == {*FILES, README}
+    assert {one.name for one in files.iterdir()} == {*EXAMPLE_FILES, README}
     text = (files / README).read_text(encoding="utf-8")
-    assert all(f"{name} " in text for name in FILES)
+    assert all(f"{name} " in text for name in EXAMPLE_FILES)
 
 
 def test_points_are_where_the_scanner_sees_them(files: Path) -> None:
     control = termsel.read(files / "gcps.csv").points
     apart = control.image - SENSOR.project(control.ground)
-    assert np.sqrt((apart**2).mean()) == pytest.approx(NOISE, rel=0.15)
+    assert np.sqrt((apart**2).mean()) == pytest.approx(EXAMPLE_NOISE, rel=0.15)
     vendor = termsel.read_rpc(files / "vendor.RPB").project(control.ground)
     assert np.abs(vendor - SENSOR.project(control.ground) - VENDOR).max() < 0.05
 

@@ -89,7 +89,7 @@ def test_many_points_are_predicted_nearly_as_by_all_kernels(
 
 def test_only_so_many_points_are_met_exactly(monkeypatch: pytest.MonkeyPatch) -> None:
     points, _ = bent(50)
-    monkeypatch.setattr(interpolating, "EXACT", 49)
+    monkeypatch.setattr(interpolating, "MAX_EXACT_SPLINE", 49)
     with pytest.raises(termsel.TermselError, match="meets 50 points exactly takes too long"):
         termsel.fit(FeatureSet(points), "tps", smoothing=0.0).errors(points)
     assert termsel.fit(FeatureSet(points), "tps", smoothing=0.01).errors(points).any()

@@ -205,8 +205,8 @@ def test_stdout_is_the_same_while_a_plugin_runs() -> None:
 
 def test_a_silent_solver_is_named_and_ended_by_ctrl_c(
         monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
-    monkeypatch.setattr(silence, "LONG", 0.1)
-    monkeypatch.setattr(silence, "_EVERY", 0.05)
+    monkeypatch.setattr(silence, "SILENT_SECONDS", 0.1)
+    monkeypatch.setattr(silence, "_LOOK_SECONDS", 0.05)
     told = threading.Event()
 
     class Stuck(Once):
@@ -229,8 +229,8 @@ def test_a_silent_solver_is_named_and_ended_by_ctrl_c(
 
 def test_a_slow_observer_is_no_silence_of_the_solver(
         monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
-    monkeypatch.setattr(silence, "LONG", 0.1)
-    monkeypatch.setattr(silence, "_EVERY", 0.02)
+    monkeypatch.setattr(silence, "SILENT_SECONDS", 0.1)
+    monkeypatch.setattr(silence, "_LOOK_SECONDS", 0.02)
     with caplog.at_level(logging.INFO, "termsel"):
         search(Ones(), Once(), observers=[lambda _progress: time.sleep(0.5)])
     assert "has yielded nothing" not in caplog.text

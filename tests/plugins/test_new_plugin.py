@@ -18,7 +18,7 @@ from typing import Any
 
 import pytest
 
-from termsel.cli.new_plugin import KINDS, package
+from termsel.cli.new_plugin import NEW_KINDS, package
 from termsel.plugins.registry import Registry
 
 LISTED = {"model": "models", "solver": "solvers", "problem": "problems", "criterion": "criteria",
@@ -47,7 +47,7 @@ def _python(folder: Path, *words: object, by: Path) -> subprocess.CompletedProce
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", NEW_KINDS)
 def test_a_new_package_installs_passes_its_tests_and_shows_up(
         kind: str, tmp_path: Path, call: Callable[..., SimpleNamespace]) -> None:
     name, python = f"termsel-my-{kind}", environment(tmp_path / "env")
@@ -70,7 +70,7 @@ def test_a_new_package_installs_passes_its_tests_and_shows_up(
     assert found["name"] == f"my-{kind}"
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", NEW_KINDS)
 def test_all_marks_are_filled_in(kind: str) -> None:
     files = package("Termsel.Demo_x", kind)
     assert sorted(Path(file).name for file in files) == [

@@ -10,7 +10,7 @@ import pytest
 from msgspec import convert
 
 from termsel.data.record.record import Record
-from termsel.report.first_screen import LINES
+from termsel.report.first_screen import SCREEN_LINES
 from tests.records import (
     baseline,
     counts,
@@ -127,7 +127,7 @@ def test_a_first_screen_reads_as_it_was_looked_at(name: str) -> None:
 @pytest.mark.parametrize("name", CASES)
 def test_a_first_screen_is_short(name: str) -> None:
     lines = first_screen(**CASES[name])
-    assert len(lines) + 1 <= LINES == 12
+    assert len(lines) + 1 <= SCREEN_LINES == 12
     assert max(map(len, lines)) <= 88
 
 
@@ -147,7 +147,7 @@ def test_each_figure_of_the_accuracy_stands_once() -> None:
 def test_notes_that_do_not_fit_are_counted() -> None:
     notes = [f"Note {i} is long enough to be a line of its own. More of it." for i in range(9)]
     lines = first_screen(**CASES["outliers"], notes=notes)
-    assert len(lines) + 1 <= LINES
+    assert len(lines) + 1 <= SCREEN_LINES
     shown = sum("is long enough" in line for line in lines)
     assert f"{9 - shown} more notes: --verbose" in lines[-1]
 

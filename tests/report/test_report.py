@@ -126,7 +126,7 @@ def test_every_chart_is_one_altair_chart_that_says_what_to_look_for(
             assert spec["title"]["text"] == kind.title
             assert " ".join(spec["title"]["subtitle"]) == kind.look
             drawn.add(kind.name)
-    assert drawn == set(KINDS) == set(plot.KINDS)
+    assert drawn == set(KINDS) == set(plot.CHART_NAMES)
 
 
 def test_the_bands_of_empires_are_their_countries(empires: termsel.Result) -> None:
@@ -311,7 +311,7 @@ def test_of_many_residuals_the_largest_and_some_others_are_shown(
     chosen: termsel.Result, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr("termsel.report.view.DRAWN", 30)
-    monkeypatch.setattr("termsel.report.view.LARGEST", 10)
+    monkeypatch.setattr("termsel.report.view.LARGEST_RESIDUALS", 10)
     count, largest = len(chosen.residuals), sorted(r.distance for r in chosen.residuals)[-10:]
     step = -(-count // 20)
     fresh = replace(chosen)  # what is shown is kept
@@ -402,7 +402,7 @@ def test_the_drawing_library_is_put_together_once(
     made = list[str]()
     monkeypatch.setattr(library, "bundle",
                         lambda snippet: made.append(snippet) or "draw('</script>é\r\n')")
-    monkeypatch.setattr(library, "_KEPT", tmp_path / "kept")
+    monkeypatch.setattr(library, "_CACHE_FOLDER", tmp_path / "kept")
 
     def text() -> str:
         library.library.cache_clear()

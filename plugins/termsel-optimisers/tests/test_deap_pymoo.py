@@ -424,8 +424,8 @@ def test_a_loop_that_breeds_nothing_comes_to_an_end(monkeypatch: pytest.MonkeyPa
 
 
 def test_a_loop_that_does_nothing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("termsel.selection.solvers.bridges.silence.LONG", 0.1)
-    monkeypatch.setattr("termsel.selection.solvers.bridges.silence._EVERY", 0.05)
+    monkeypatch.setattr("termsel.selection.solvers.bridges.silence.SILENT_SECONDS", 0.1)
+    monkeypatch.setattr("termsel.selection.solvers.bridges.silence._LOOK_SECONDS", 0.05)
 
     def observe(progress: Progress) -> None:
         if "has yielded nothing" in progress.what:

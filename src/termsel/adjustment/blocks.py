@@ -32,7 +32,7 @@ its own, whose blocks cost as much as rows, as few may be read together. Measure
 terms."""
 
 _BYTES = 1 << 28  # of all blocks
-_DETERMINED = 1e-7  # least part of a column that those before it leave
+_MIN_COLUMN_REST = 1e-7  # least part of a column that those before it leave
 _SUMMED = 64  # individuals whose sums are in memory at once
 _CACHED = 32  # blocks that stay in the cache for all individuals
 
@@ -51,7 +51,7 @@ def blocks_of(source: FloatArray, feature: IntArray, triangle: FloatArray) -> Fl
     diagonal = np.abs(np.diag(triangle))[:k]
     lengths = np.linalg.norm(triangle[:, :k], axis=0)
     if (len(source) - BLOCK_COST * n < BLOCK_GAIN * k or 8 * (n + 1) * width > _BYTES
-            or not len(diagonal) == k > 0 or (diagonal <= _DETERMINED * lengths).any()):
+            or not len(diagonal) == k > 0 or (diagonal <= _MIN_COLUMN_REST * lengths).any()):
         return None
     # Q = A R^-1, column by column. Not by LAPACK, whose rounding varies from machine to machine.
     Q = source.T[:k].copy()

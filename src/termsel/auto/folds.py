@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from termsel.data.features import FeatureSet
-from termsel.data.lattices import FEWEST as FEWEST_LINES
+from termsel.data.lattices import MIN_LATTICE_LINES as FEWEST_LINES
 from termsel.data.lattices import lattice_of
 
 FOLDS_WITH_LINES = 10

@@ -162,8 +162,9 @@ class _WithField(Structure):
                     "deformation is "
                     f"{process.probability:.3g}.")
         # The requirement is stated where the field is a course of its own.
-        requirement = f"; it must exceed {required_probability(process):g}" * (process.spline_weight
-                                                                               == 0.0)
+        requirement = ""
+        if process.spline_weight == 0.0:
+            requirement = f"; it must exceed {required_probability(process):g}"
         return (f"{self.label} is used: the probability of local deformation is "
                 f"{process.probability:.3g}{requirement}.")
 

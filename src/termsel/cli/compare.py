@@ -19,7 +19,7 @@ from termsel.core.errors import TermselError, counted, printable
 from termsel.core.interrupts import INTERRUPTED
 from termsel.core.options import MOST_RUNS
 
-FAILED = 1
+EXIT_FAILED = 1
 """Exit code where an image has no result; all others have theirs."""
 
 
@@ -140,7 +140,7 @@ def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: 
     # An image that fails stops no other, so that only the exit code tells a script of it.
     if results.failures:
         echo(f"{results.failures} of {counted(len(results.cells), 'image')} failed.", err=True)
-        sys.exit(FAILED)
+        sys.exit(EXIT_FAILED)
 
 
 def _asked(files: tuple[Path, ...], options: dict[str, Any]) -> tuple[Path | None, dict[str, Any]]:

@@ -16,10 +16,10 @@ from termsel.cli.messages import echo, say_written
 from termsel.core.errors import TermselError, unknown_name
 from termsel.core.version import plugin_bound
 
-KINDS = ("model", "solver", "problem", "criterion", "objective", "method", "dataset", "split",
+NEW_KINDS = ("model", "solver", "problem", "criterion", "objective", "method", "dataset", "split",
          "section", "measure", "reader", "writer", "command")
 
-_NAME = re.compile(r"[A-Za-z](?:[A-Za-z0-9]|[-_.](?=[A-Za-z0-9]))*")
+_DISTRIBUTION_NAME = re.compile(r"[A-Za-z](?:[A-Za-z0-9]|[-_.](?=[A-Za-z0-9]))*")
 
 _USE = {
     "model": "Use it: `termsel run --problem rfm-terms --model {name}`",
@@ -43,7 +43,8 @@ _USE = {
 @click.command("new-plugin")
 @click.argument("name")
 @click.option("--kind", required=True, metavar="KIND[,KIND]...",
-              help=f"Kinds of things that it provides, separated by commas: {', '.join(KINDS)}.")
+              help="Kinds of things that it provides, separated by commas: "
+                   f"{', '.join(NEW_KINDS)}.")
 @click.option("--into", "parent", metavar="DIR", default=".", show_default=True,
               type=click.Path(path_type=Path), help="The folder in which the package is made.")
 def new_plugin(name: str, kind: str, parent: Path) -> None:
@@ -87,8 +88,8 @@ def package(name: str, *kinds: str) -> dict[str, str]:
     Of several kinds each has a module and a name of its own, such as demo-model.
     """
     for kind in kinds:
-        if kind not in KINDS:
-            raise unknown_name("kind of plugin", kind, KINDS)
+        if kind not in NEW_KINDS:
+            raise unknown_name("kind of plugin", kind, NEW_KINDS)
     if len(set(kinds)) < len(kinds):
         raise TermselError(f"--kind {','.join(kinds)} names a kind twice", hint="Name each once.")
     # The name of the package is that of its module, as pip normalises it; that of the thing is
@@ -131,7 +132,7 @@ def _filled(source: str, words: dict[str, str]) -> str:
 
 def _require_free(name: str, package: str, bare: str, kind: str, module: str,
                   plugin_name: str) -> None:
-    if not _NAME.fullmatch(name) or keyword.iskeyword(package) or not bare:
+    if not _DISTRIBUTION_NAME.fullmatch(name) or keyword.iskeyword(package) or not bare:
         # What remains of the name without forbidden characters is the nearest that can be.
         near = "-".join(re.findall(r"[A-Za-z0-9]+", name)).lstrip("-0123456789")
         near = near if near and not keyword.iskeyword(near) else "termsel-demo"
@@ -145,7 +146,7 @@ def _require_free(name: str, package: str, bare: str, kind: str, module: str,
     if package == "termsel":
         raise TermselError("this is the name of termsel itself", hint="Choose another name.")
     from termsel.plugins.commands import COMMANDS
-    from termsel.plugins.kinds import KINDS as REGISTERED
+    from termsel.plugins.kinds import NEW_KINDS as REGISTERED
     from termsel.plugins.registry import Registry
 
     plural = next((key for key, value in REGISTERED.items() if value.word == _word(kind)), None)

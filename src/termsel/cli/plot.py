@@ -9,13 +9,13 @@ import click
 from termsel.cli.messages import refuse_stdout, say_written, show_messages
 from termsel.core.errors import TermselError
 
-KINDS = ("residuals", "ground", "worst", "baselines", "candidates", "front", "convergence",
+CHART_NAMES = ("residuals", "ground", "worst", "baselines", "candidates", "front", "convergence",
          "empires", "frequency", "terms", "correlations", "sigma")
 
 
 @click.command()
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
-@click.argument("kind", metavar="KIND", type=click.Choice(KINDS))
+@click.argument("kind", metavar="KIND", type=click.Choice(CHART_NAMES))
 @click.option("--output", "-o", metavar="FILE", required=True, type=click.Path(path_type=Path),
               help="The picture to write; its name ends in .svg, .png or .pdf.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")

@@ -51,7 +51,7 @@ class ByTopic(click.Command):
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the main options by topic, or all where that is asked for."""
         # The long help is click's own; the short one shows what most people need.
-        if ctx.meta.get(_EVERY):
+        if ctx.meta.get(_ALL_OPTIONS_ASKED):
             super().format_options(ctx, formatter)
             return
         options = {option.name: option for option in self.get_params(ctx)
@@ -66,13 +66,13 @@ class ByTopic(click.Command):
         formatter.write_text("All options: --help-all")
 
 
-_EVERY = "termsel.help-all"
+_ALL_OPTIONS_ASKED = "termsel.help-all"
 """Where a context keeps that all options are asked for."""
 
 
 def _show_all(context: click.Context, _: click.Parameter, is_asked_for: bool) -> None:
     if is_asked_for and not context.resilient_parsing:
-        context.meta[_EVERY] = True
+        context.meta[_ALL_OPTIONS_ASKED] = True
         echo(context.get_help())
         context.exit()
 

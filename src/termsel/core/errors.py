@@ -8,13 +8,13 @@ from contextlib import contextmanager
 from difflib import get_close_matches
 from traceback import TracebackException
 
-_KEPT = frozenset("\u200c\u200d")
+_JOINERS = frozenset("\u200c\u200d")
 """Joiners within words of some scripts."""
 
 _SHOWN = frozenset(("Zs", "Co", "Cn"))
 """Categories that only Python calls not printable: spaces, private and newer characters."""
 
-_LONGEST, _LONGEST_HINT, _LONGEST_COLUMN = 1000, 5000, 100
+_LONGEST_MESSAGE, _LONGEST_HINT, _LONGEST_COLUMN = 1000, 5000, 100
 """Characters of each part of a message; a hint may list all formats."""
 
 
@@ -78,7 +78,7 @@ class TermselError(Exception):
             position.append(f"column {cut(self.column, _LONGEST_COLUMN)!r}")
         elif self.column is not None:
             position.append(f"column {self.column}")
-        message = cut(self.what, _LONGEST)
+        message = cut(self.what, _LONGEST_MESSAGE)
         text = ": ".join([", ".join(position), message]) if position else message
         end = "" if text.endswith(".") else "."  # of a library's message, or of a list cut short
         return printable(f"{text}{end} {cut(self.hint, _LONGEST_HINT)}" if self.hint else text)
@@ -99,7 +99,7 @@ def printable(text: str, keep: str = "\n\t") -> str:
 def is_printable(text: str) -> bool:
     """Return True for text without line breaks and what `printable` replaces."""
     return text.isprintable() or all(
-        char.isprintable() or char in _KEPT or unicodedata.category(char) in _SHOWN
+        char.isprintable() or char in _JOINERS or unicodedata.category(char) in _SHOWN
         for char in text)
 
 

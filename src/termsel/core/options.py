@@ -40,7 +40,7 @@ def options_of_file(file: object) -> Iterator[None]:
         _file.reset(token)
 
 
-_WORDS = {int: "whole number", float: "number", bool: "true | false", str: "text"}
+_TYPE_WORDS = {int: "whole number", float: "number", bool: "true | false", str: "text"}
 _TRUE = {"true", "yes", "on", "1"}
 _FALSE = {"false", "no", "off", "0"}
 
@@ -79,7 +79,7 @@ class Option:
     from_files: bool | tuple[str, ...] = True
 
     def __post_init__(self) -> None:
-        if self.type not in _WORDS:
+        if self.type not in _TYPE_WORDS:
             raise TermselError(f"option {self.name!r} has the type {self.type!r:.100}",
                                hint="Give int, float, bool or str.")
 
@@ -88,7 +88,7 @@ class Option:
         """The accepted values, in words."""
         if self.choices:
             return " | ".join(self.choices)
-        kind = _WORDS[self.type]
+        kind = _TYPE_WORDS[self.type]
         if self.minimum is not None and self.maximum is not None:
             return f"{kind} from {_plain(self.minimum)} to {_plain(self.maximum)}"
         if self.minimum is not None:

@@ -12,7 +12,7 @@ from termsel.core.errors import TermselError
 SUFFIXES = (".tif", ".tiff")
 """Endings of rasters that are looked for in zips and folders."""
 
-MOST = 10_000
+MAX_ARCHIVE_FILES = 10_000
 """Files of a zip that is looked into."""
 
 _LISTED = 8  # rasters in a message
@@ -80,7 +80,7 @@ def _in_zip(archive: Path) -> list[Path]:
     except _BROKEN as error:
         raise TermselError(f"this zip cannot be read: {error}", file=archive,
                            hint="Load it down again.") from error
-    if len(names) > MOST:
+    if len(names) > MAX_ARCHIVE_FILES:
         raise TermselError(f"this zip has {len(names):,} files", file=archive,
                            hint="Name the raster in it: FILE.zip/PLACE.tif.")
     places = map(PurePosixPath, names)

@@ -30,8 +30,8 @@ from termsel.core.isolation.helper import Helper, ProcessEndedError
 
 _CHILD = "from termsel.data.raster_server import serve; serve({drivers!r}, {remote!r})"
 
-OPEN = "open"
-CLOSE = "close"
+OPEN_RASTER = "open"
+CLOSE_RASTER = "close"
 
 Answer = TypeVar("Answer")
 
@@ -46,8 +46,8 @@ _numbers = count()
 class Question:
     """What the other process is to do with which raster.
 
-    `work` is a function of the dataset, or OPEN or CLOSE. `folder` is that in which the raster was
-    opened, and `settings` are those of `rasterio.Env`.
+    `work` is a function of the dataset, or `OPEN_RASTER` or `CLOSE_RASTER`. `folder` is that in
+    which the raster was opened, and `settings` are those of `rasterio.Env`.
     """
 
     number: int
@@ -118,11 +118,11 @@ def open_distant(path: Path | str) -> Iterator[DistantRaster]:
     """Open a raster in another process; it raises the errors of `termsel.open_raster`."""
     raster = DistantRaster(path, _helper(allowed_drivers(), remote_allowed()))
     # Errors of opening are raised before the body runs.
-    raster._ask(OPEN, path)
+    raster._ask(OPEN_RASTER, path)
     try:
         yield raster
     finally:
-        raster._ask(CLOSE)
+        raster._ask(CLOSE_RASTER)
 
 
 def _settings() -> dict[str, Any]:

@@ -15,7 +15,7 @@ import numpy as np
 from termsel.data.features import FloatArray, IntArray
 from termsel.data.fit_data import FitData
 
-FEWEST, MOST = 4, 12
+MIN_EXCHANGED_POINTS, MAX_EXCHANGED_POINTS = 4, 12
 """Numbers of points that are looked at: of more, errors tell."""
 
 THIN = 0.05
@@ -33,7 +33,8 @@ class Exchange:
 def exchange_of(control: FitData) -> Exchange | None:
     """Return which points reverse single triangles of a plane; None if none does, or of hills."""
     count = len(control.features.points)
-    if control.heights or len(control.features.lines) or not FEWEST <= count <= MOST:
+    if control.heights or len(control.features.lines) \
+            or not MIN_EXCHANGED_POINTS <= count <= MAX_EXCHANGED_POINTS:
         return None
     points = control.scaled.points
     ground = points.ground[:, :2]
@@ -52,7 +53,7 @@ def exchange_of(control: FitData) -> Exchange | None:
             # A mirrored image is rare.
             mirrored = 1e3 if (turnings > 0).any() else 1.0
             repairs.append((mirrored * _left(ground, image[order]), Exchange(pair, True)))
-    for wrong in range(count) if count > FEWEST else ():
+    for wrong in range(count) if count > MIN_EXCHANGED_POINTS else ():
         remaining = np.delete(np.arange(count), wrong)
         if not _mixed(_turnings(ground[remaining], image[remaining])):
             repairs.append((_left(ground[remaining], image[remaining]), Exchange((wrong,), False)))

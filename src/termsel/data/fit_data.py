@@ -40,7 +40,7 @@ MANY = 12
 BEST = 5 / 6
 """Number of points from which on they show how well they are measured, and the part by which."""
 
-ENOUGH = 8
+RELIEF_FEATURES = 8
 """Number of features from which on two of them may carry the relief. Without two of fewer, hardly
 anything is left that could be off a plane."""
 
@@ -100,9 +100,9 @@ def carriers(control: FitData, limit: int = 2) -> tuple[str, ...]:
     """Return the ids of one or two features without which heights tell nothing; or none.
 
     All ids where they tell nothing already. Heights are known. `limit`, 1 or 2, is how many are
-    looked for; of fewer than `ENOUGH` one.
+    looked for; of fewer than `RELIEF_FEATURES` one.
     """
-    limit = limit if len(control) >= ENOUGH else 1
+    limit = limit if len(control) >= RELIEF_FEATURES else 1
     plane, z, owner = _vertices(control)
     keep = np.ones(len(z), dtype=bool)
     # One feature after another is removed, that which the plane of heights gains most from.

@@ -19,7 +19,7 @@ import numpy as np
 
 from termsel.data.features import FloatArray, IntArray, Points
 
-FEWEST = 4
+MIN_LATTICE_LINES = 4
 """Lines, and columns, of the smallest lattice."""
 
 FILLED = 0.5
@@ -76,14 +76,14 @@ class Lattice:
 @lru_cache(maxsize=8)
 def lattice_of(points: Points) -> Lattice | None:
     """Return the lattice that points are, or None if they are none."""
-    if len(points) < FEWEST**2 or points.sigma is not None:
+    if len(points) < MIN_LATTICE_LINES**2 or points.sigma is not None:
         return None
     # Lines and columns are the values that occur, each once at every crossing.
     line = _numbered(points.image[:, 0])
     column = _numbered(points.image[:, 1])
     lines = int(line.max()) + 1
     columns = int(column.max()) + 1
-    if min(lines, columns) < FEWEST or len(points) < FILLED * lines * columns \
+    if min(lines, columns) < MIN_LATTICE_LINES or len(points) < FILLED * lines * columns \
             or len(np.unique(line * columns + column)) < len(points):
         return None
     lattice = Lattice(line, column)

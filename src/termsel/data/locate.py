@@ -16,14 +16,14 @@ Projection = Callable[[FloatArray], FloatArray]
 Surface = Callable[[FloatArray], FloatArray]
 """Heights, shape (n,), of plane ground coordinates, shape (n, 2); NaN where there are none."""
 
-TOLERANCE = 1e-6
+LOCATE_TOLERANCE = 1e-6
 """Largest distance [px] between the image point and the projection of its ground point."""
 
-_STEPS, _KEPT = 24, 3
+_NEWTON_STEPS, _STARTS_KEPT = 24, 3
 _WORSE, _SHORTER = 2.0, 8
-_SECANTS, _HALVINGS = 20, 40
+_SECANTS, _BISECTIONS = 20, 40
 _AT_SURFACE, _CLOSE = 1e-6, 1e-3  # in the unit of height; both far less than 1 px
-_FAR = 5.0  # half-ranges
+_FAR_RANGES = 5.0  # half-ranges
 _DIFFERENCE = 1e-4  # of the half-range: central differences leave about 1e-8 of a derivative
 
 
@@ -60,7 +60,7 @@ def locate(
     if callable(height):
         ground = _meet(project, image, height, ground, unit, inverse)
     # Higher polynomials map places far away to the same image point.
-    ground[(np.abs(ground[:, :2] - middle[:2]) > _FAR * unit[:2]).any(axis=1)] = np.nan
+    ground[(np.abs(ground[:, :2] - middle[:2]) > _FAR_RANGES * unit[:2]).any(axis=1)] = np.nan
     return ground
 
 
@@ -76,13 +76,13 @@ def _newton(project: Projection, image: FloatArray, ground: FloatArray, unit: Fl
     ground, oblique = ground.copy(), np.zeros(len(ground), dtype=bool)
     with np.errstate(all="ignore"):
         error = image - project(ground)
-        for step in range(_STEPS):
-            going = np.flatnonzero(np.abs(error).max(axis=1) > TOLERANCE / 100)
+        for step in range(_NEWTON_STEPS):
+            going = np.flatnonzero(np.abs(error).max(axis=1) > LOCATE_TOLERANCE / 100)
             if not going.size:
                 break
             before = error[going]
             at = ground[going]
-            moves = (_inverse(project, at, unit) if step and not step % _KEPT
+            moves = (_inverse(project, at, unit) if step and not step % _STARTS_KEPT
                      else inverse[going])
             ground[going, :2] += np.einsum("nij,nj->ni", moves, before)
             error[going] = image[going] - project(ground[going])
@@ -93,7 +93,7 @@ def _newton(project: Projection, image: FloatArray, ground: FloatArray, unit: Fl
                 again = going[wrong]
                 ground[again] = _shortened(project, image[again], at[wrong], before[wrong], unit)
                 error[again] = image[again] - project(ground[again])
-    ground[~(np.abs(error).max(axis=1) <= TOLERANCE)] = np.nan
+    ground[~(np.abs(error).max(axis=1) <= LOCATE_TOLERANCE)] = np.nan
     return ground
 
 
@@ -155,7 +155,7 @@ def _meet(project: Projection, image: FloatArray, surface: Surface, ground: Floa
     going = np.flatnonzero(~(np.abs(above) <= _AT_SURFACE))
     below = np.full(len(going), np.fmin.reduce(low, initial=np.nan))
     over = np.full(len(going), np.fmax.reduce(high, initial=np.nan))
-    for _ in range(_HALVINGS if going.size else 0):
+    for _ in range(_BISECTIONS if going.size else 0):
         middle = (below + over) / 2
         ground[going], above[going] = moved(going, middle)
         rises = above[going] > 0

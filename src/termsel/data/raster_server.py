@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from termsel.core.files.drivers import allow_driver, allow_remote, claim_process
-from termsel.data.distant_rasters import CLOSE, OPEN, Question
+from termsel.data.distant_rasters import CLOSE_RASTER, OPEN_RASTER, Question
 from termsel.data.rasters import open_raster, require_rasterio
 
 _open_here: dict[int, tuple[Any, ExitStack]] = {}
@@ -69,9 +69,9 @@ def _answered(asked: bytes) -> tuple[Any, BaseException | None]:
 
 def _done(question: Question) -> Any:
     """Return what was asked for."""
-    if question.work == OPEN:
+    if question.work == OPEN_RASTER:
         return _open(question.number, *question.values)
-    if question.work == CLOSE:
+    if question.work == CLOSE_RASTER:
         return _close(question.number)
     assert not isinstance(question.work, str)
     return question.work(_dataset(question.number), *question.values, **question.named)

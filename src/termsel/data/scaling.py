@@ -18,7 +18,7 @@ from termsel.data.tables.tabular import unchecked
 
 _Table = TypeVar("_Table", Points, Lines)
 
-_FAR = 1e6
+_NO_PLACE = 1e6
 """Scaled coordinate of places that have none in the CRS of the fit."""
 
 SHALLOW = 0.03
@@ -68,7 +68,7 @@ class Scaling:
         scaled = away / self.ground_scale
         # Places without coordinates in the CRS of the fit are far outside the image.
         return scaled if np.isfinite(scaled).all() else np.nan_to_num(
-            scaled, nan=0.0, posinf=_FAR, neginf=-_FAR)
+            scaled, nan=0.0, posinf=_NO_PLACE, neginf=-_NO_PLACE)
 
     def unscaled(self, ground: ArrayLike) -> FloatArray:
         """Return ground coordinates from scaled ones."""

@@ -16,7 +16,7 @@ from termsel.data.rasters import (
     tiff_bytes,
 )
 
-LONGEST = 1000
+THUMBNAIL_SIDE = 1000
 """Pixels of the longer side."""
 
 
@@ -33,7 +33,7 @@ def thumbnail(path: Path | str, expected: tuple[int, int] | None = None,
                 hint="Give the image that the points were measured in.")
         refuse_empty_giant(raster)
         # GDAL reads at the lower resolution, from overviews where there are any.
-        small = max(1.0, max(size) / LONGEST)
+        small = max(1.0, max(size) / THUMBNAIL_SIDE)
         shape = (max(1, round(size[0] / small)), max(1, round(size[1] / small)))
         # Indices of colours have no mean: the nearest pixel is taken, and its brightness.
         indices = raster.colorinterp[0] == rasterio.enums.ColorInterp.palette

@@ -14,11 +14,11 @@ from termsel.data.features import FeatureSet, FloatArray, IntArray, Points
 from termsel.data.record.chances import quantile
 from termsel.data.tables.attributes import rows_at
 
-NEAR = 0.01
+TWIN_DISTANCE = 0.01
 """Distance of twins, by the side of the square that each point has for itself; of their heights,
 by the spread of all heights."""
 
-FEW = 300
+MAX_PAIRWISE_PLACES = 300
 """Most places that are compared each with each: a tree takes longer to import than to search."""
 
 
@@ -38,7 +38,7 @@ def twins(ground: FloatArray, typical: FloatArray | None = None) -> IntArray:
     # Half of the points span half of an even spread, wherever a few wild ones are.
     low, high = (quantile(typical.T, share) for share in (0.25, 0.75))
     # Distances of twins in X, Y and Z are 1 in these units.
-    unit = NEAR * 2 * (high - low) * np.array([len(typical) ** -0.5] * 2 + [1.0])
+    unit = TWIN_DISTANCE * 2 * (high - low) * np.array([len(typical) ** -0.5] * 2 + [1.0])
     rounding = np.finfo(float).eps * np.abs(positions).max(axis=0)
     pairs = _near(positions / np.maximum(unit, np.maximum(rounding, np.finfo(float).tiny)))
     if not len(pairs):
@@ -53,7 +53,7 @@ def twins(ground: FloatArray, typical: FloatArray | None = None) -> IntArray:
 
 def _near(positions: FloatArray) -> IntArray:
     """Return the pairs of positions (n, 3) that are at most 1 apart, shape (p, 2)."""
-    if len(positions) <= FEW:
+    if len(positions) <= MAX_PAIRWISE_PLACES:
         # Squared distances of all pairs, each pair once above the diagonal.
         square = sum((axis[:, None] - axis) ** 2 for axis in positions.T)
         return np.argwhere(np.triu(square <= 1.0, 1))

@@ -27,7 +27,7 @@ _REST = 0.25
 """Largest part of the RMSE that is left with two groups."""
 _APART = 6.0
 """Least distance of the groups [standard deviations within them]."""
-_ROUNDS = 50
+_GROUPING_ROUNDS = 50
 _FARTHEST = 2000.0
 """Longest shift [m]: datums of the Earth are less apart. Longer ones are of what an affine
 transformation does not follow, such as an area of many degrees or an oblique view."""
@@ -117,7 +117,7 @@ def two_groups(features: FeatureSet) -> TwoGroups | None:
     _, joint_residuals = _residuals(design, points.image)
     second = _split(joint_residuals)
     # Like k-means with two centres: fit with this split, then each point to the nearer group.
-    for _ in range(_ROUNDS):
+    for _ in range(_GROUPING_ROUNDS):
         if not LEAST_OF_GROUP <= second.sum() <= len(plan) - LEAST_OF_GROUP:
             return None
         coefficients, residuals = _residuals(np.column_stack([design, second]), points.image)

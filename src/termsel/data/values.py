@@ -15,10 +15,10 @@ FloatArray = NDArray[np.float64]
 FARTHEST = 1e50
 """Coordinates from which on squares and products of some of them overflow."""
 
-LONGEST = 200
+MAX_ID = 200
 """Characters of an id."""
 
-_NAMED = 8
+_MAX_NAMED = 8
 """Points and places that a message names."""
 
 _CORRECT = "Correct the values or remove the feature."
@@ -95,12 +95,12 @@ def repeated_places(ground: FloatArray, *, with_single: bool = False) -> list[li
 def places_in_words(ids: Sequence[str], groups: Sequence[Sequence[int]]) -> str:
     """Return which points have the same ground coordinates, given the rows of each place."""
     named = []
-    for rows in groups[:_NAMED]:
-        names = " and ".join(repr(ids[row]) for row in rows[:_NAMED])
-        surplus = f" and {len(rows) - _NAMED} more" if len(rows) > _NAMED else ""
+    for rows in groups[:_MAX_NAMED]:
+        names = " and ".join(repr(ids[row]) for row in rows[:_MAX_NAMED])
+        surplus = f" and {len(rows) - _MAX_NAMED} more" if len(rows) > _MAX_NAMED else ""
         named.append(f"{names}{surplus}")
-    unnamed = f", and those of {len(groups) - _NAMED} more positions" \
-        if len(groups) > _NAMED else ""
+    unnamed = f", and those of {len(groups) - _MAX_NAMED} more positions" \
+        if len(groups) > _MAX_NAMED else ""
     each_group = " each" if len(groups) > 1 else ""
     return f"points {', '.join(named)}{unnamed}{each_group} have the same ground coordinates"
 
@@ -135,8 +135,8 @@ def refused(name: str) -> str:
     # So that tables keep it, and a terminal shows it.
     if not name:
         return "is blank"
-    if len(name) > LONGEST:
-        return f"has {len(name):,} characters, more than {LONGEST}"
+    if len(name) > MAX_ID:
+        return f"has {len(name):,} characters, more than {MAX_ID}"
     return "" if is_printable(name) else "has a line break or a character that cannot be printed"
 
 

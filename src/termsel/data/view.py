@@ -27,7 +27,7 @@ image."""
 FARTHER = 1.5
 """A map shows no places farther from the camera than this many times the farthest point."""
 
-ENOUGH = 200
+MAX_VIEW_POINTS = 200
 """Points by which a view is found; more are thinned out evenly."""
 
 BEST = 5 / 6
@@ -122,8 +122,8 @@ def view_of(points: Points) -> View | None:
 def _view_of(measurements: Measurements) -> View | None:
     """Return the same; equal points are asked for many times, whatever else is known of them."""
     points = measurements.points
-    if len(points) > ENOUGH:
-        even = np.linspace(0, len(points) - 1, ENOUGH).astype(int)
+    if len(points) > MAX_VIEW_POINTS:
+        even = np.linspace(0, len(points) - 1, MAX_VIEW_POINTS).astype(int)
         points = points.take(spatial_order(points.ground[:, :2])[even])
     views = []
     for size in (3, 4) if np.isfinite(points.ground).all() else (3,):

@@ -24,7 +24,7 @@ from termsel.models.terms import AXES, Term
 
 log = logging.getLogger(__name__)
 
-EXACT = 1e-6
+EXACT_PX = 1e-6
 """Largest difference [px] between the model and an RPC that is taken over."""
 
 GOOD = 0.05
@@ -110,8 +110,9 @@ def rpc_of(fitted: Fit, heights: tuple[float, float] | None = None) -> RpcFit:
             control_ground = fitted.control.ground_vertices()
             expected = fitted.project(control_ground)
         worst, rms = _loss(rpc, convert(control_ground), expected)
-        if worst <= (EXACT if declared is None else GOOD):
-            return RpcFit(rpc, "exact" if worst <= EXACT else "its own", worst, rms, excluded_part)
+        if worst <= (EXACT_PX if declared is None else GOOD):
+            kind = "exact" if worst <= EXACT_PX else "its own"
+            return RpcFit(rpc, kind, worst, rms, excluded_part)
     low, high = heights or _heights(fitted)
     image, ground = _grid(fitted, convert, _GRID_SIDE, np.linspace(low, high, _N_LEVELS))
     # One place and one level fewer, so that the check lies between the places of the fit.

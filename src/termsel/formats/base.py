@@ -23,7 +23,7 @@ from termsel.data.features import FeatureSet
 if TYPE_CHECKING:
     from termsel.results.result import Result
 
-LARGEST = 512 << 20
+MAX_FILE_BYTES = 512 << 20
 """Bytes of a file that is read at once; a sparse file can claim any size."""
 
 _HEAD = 65536  # bytes shown to sniff(): room for a long comment before a header
@@ -233,9 +233,9 @@ def read_data(path: Path) -> bytes:
     refuse_pipe(path)
     try:
         # Before it is read: a sparse file may claim more than there is memory.
-        if path.stat().st_size > LARGEST:
-            raise TermselError(f"this file has more than {LARGEST >> 20} MiB, too many for a text "
-                               "or table that is read at once", file=path,
+        if path.stat().st_size > MAX_FILE_BYTES:
+            raise TermselError(f"this file has more than {MAX_FILE_BYTES >> 20} MiB, too many for "
+                               "a text or table that is read at once", file=path,
                                hint="Divide it, or give a raster as a raster.")
         return path.read_bytes()
     except OSError as error:
@@ -290,9 +290,10 @@ def read_once(path: Path) -> Iterator[Path]:
         # A pipe can be read once, and several readers look at a file.
         try:
             with path.open("rb") as pipe:
-                content = pipe.read(LARGEST + 1)
-            if len(content) > LARGEST:
-                raise TermselError(f"this pipe carries more than {LARGEST >> 20} MiB", file=path,
+                content = pipe.read(MAX_FILE_BYTES + 1)
+            if len(content) > MAX_FILE_BYTES:
+                raise TermselError(f"this pipe carries more than {MAX_FILE_BYTES >> 20} MiB",
+                                   file=path,
                                    hint="Save its content to a file, and give that file.")
             copy.write_bytes(content)
         except OSError as error:

@@ -17,7 +17,7 @@ from termsel.models.polynomial import Polynomial2D
 
 log = logging.getLogger(__name__)
 
-CLOSE = 1.0
+MAX_SILENT_DEVIATION = 1.0
 """Deviation from the model [px] above which an export warns."""
 
 Transformation = Callable[[FloatArray], FloatArray]
@@ -30,7 +30,7 @@ QGIS = {"similarity": "Helmert", "order 1": "Polynomial 1", "order 2": "Polynomi
 GDALWARP = {"order 1": "-order 1", "order 2": "-order 2", "order 3": "-order 3", "spline": "-tps"}
 """Options of gdalwarp that choose them."""
 
-_ALIKE = 0.01  # px
+_ALIKE_PX = 0.01  # px
 _SPLINED = 5000  # GCPs; a spline through more fills the memory, that of GDAL, too
 _ACROSS = 15  # places along either side of the image at which files are compared
 
@@ -63,7 +63,7 @@ def by_splines(xy: FloatArray, image: FloatArray) -> Transformation:
 
 def say_deviation(name: str, fitted: Fit, ground: FloatArray, image: FloatArray,
                   ending: str = "") -> None:
-    """Log the largest deviation of a format from the model, as a warning above CLOSE.
+    """Log the largest deviation of a format from the model, as a warning if it is not small.
 
     The file puts the positions `ground` (n, 3) at `image` (n, 2); `ending` ends the sentence.
     """
@@ -79,7 +79,7 @@ def say_deviation(name: str, fitted: Fit, ground: FloatArray, image: FloatArray,
     metres = in_metres(fitted.control.crs, worst_ground, (moved - worst_ground)[:, :2])
     length = "" if metres is None or not np.isfinite(metres).all() \
         else f" ({_size(float(np.hypot(*metres[0])))} m on the ground)"
-    is_close = distance[worst] <= CLOSE
+    is_close = distance[worst] <= MAX_SILENT_DEVIATION
     level = logging.INFO if is_close else logging.WARNING
     beginning = "" if is_close else "Warning: "
     log.log(level, "%s%s: at most %s px%s from the model%s.", beginning, name,
@@ -130,7 +130,8 @@ def say_nearest(name: str, fitted: Fit, xy: FloatArray, image: FloatArray,
         distances = np.nan_to_num(np.hypot(*(computed - exact).T), nan=np.inf)
         worst[key] = float(distances.max())
     # The simplest of those that are as near, which the order of the labels tells.
-    nearest = next(key for key in labels if worst.get(key, np.inf) <= min(worst.values()) + _ALIKE)
+    nearest = next(key for key in labels
+                   if worst.get(key, np.inf) <= min(worst.values()) + _ALIKE_PX)
     ignored = ", and ignores heights" if fitted.model.uses_height else ""
     say_deviation(name, fitted, ground, positions[nearest],
                   f", {ending.format(labels[nearest])}{ignored}")

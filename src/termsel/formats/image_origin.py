@@ -18,10 +18,10 @@ log = logging.getLogger(__name__)
 TOP, UP, BOTTOM = "top-left", "y-up", "bottom-left"
 CORNER = "corner"
 
-MARGIN = 5.0
+EDGE_MARGIN = 5.0
 """How far a feature may lie beyond the edge of the image it was measured in [px]."""
 
-_WORDS = {
+_ORIGIN_WORDS = {
     TOP: "the centre of the upper-left pixel, lines downwards",
     f"{TOP}-{CORNER}": "the outer corner of the upper-left pixel, lines downwards",
     UP: "the centre of the upper-left pixel, y upwards",
@@ -34,7 +34,7 @@ IMAGE_ORIGIN = Option(
     "the upper-left pixel; corner or top-left-corner, its outer corner, as a GIS counts; "
     "y-up or y-up-corner, likewise with y negative downwards; bottom-left or bottom-left-corner, "
     "with y upwards. By default top-left, or y-up if no line is above 0 and all fit the known "
-    "height of the image.", choices=(*_WORDS, CORNER))
+    "height of the image.", choices=(*_ORIGIN_WORDS, CORNER))
 
 
 def image_size_of(image: Path | str) -> tuple[int, int]:
@@ -73,15 +73,15 @@ def with_image_origin(features: FeatureSet, choice: str | None, states_own: bool
         if states_own:
             raise TermselError("the format of this file defines the origin of its lines and "
                                "samples", hint="Leave image_origin out.")
-        return replace(_turned(features, origin, size), image_origin=_WORDS[origin])
+        return replace(_turned(features, origin, size), image_origin=_ORIGIN_WORDS[origin])
     if states_own or not len(features):
         return features
     lines = features.image_vertices()[:, 0]
     # A line above 0 is of an image whose lines count downwards; a few pixels below 0 are just
     # beyond its edge.
-    if lines.max() > 0 or lines.min() >= -MARGIN:
+    if lines.max() > 0 or lines.min() >= -EDGE_MARGIN:
         return features
-    if size is None or lines.min() < -(size[0] - 0.5 + MARGIN):
+    if size is None or lines.min() < -(size[0] - 0.5 + EDGE_MARGIN):
         size_in_words = "the height of the image is not known" if size is None else \
             f"the image has {size[0]} lines"
         raise TermselError(
@@ -93,7 +93,7 @@ def with_image_origin(features: FeatureSet, choice: str | None, states_own: bool
     log.warning("Note: no line is above 0, so lines are read as y upwards from the upper-left "
                 "pixel. If they count from its corner, give --set image_origin=y-up-corner.")
     return replace(_turned(features, UP, size),
-                   image_origin=f"{_WORDS[UP]}, as all lines are at most 0")
+                   image_origin=f"{_ORIGIN_WORDS[UP]}, as all lines are at most 0")
 
 
 def _turned(features: FeatureSet, origin: str, size: tuple[int, int] | None) -> FeatureSet:
@@ -132,10 +132,10 @@ def require_inside(features: FeatureSet, size: tuple[int, int] | None,
         return
     first = positions.min(axis=0)
     last = positions.max(axis=0)
-    if size is not None and (last > np.array(size) - 0.5 + MARGIN).any():
+    if size is not None and (last > np.array(size) - 0.5 + EDGE_MARGIN).any():
         raise other_image(size, f"but features extend to line {last[0]:g} and sample {last[1]:g}",
                           image)
-    if (first < -0.5 - MARGIN).any():
+    if (first < -0.5 - EDGE_MARGIN).any():
         raise TermselError(
             f"features extend to line {first[0]:g} and sample {first[1]:g}, before the first "
             "pixel "

@@ -46,7 +46,7 @@ KNOWN = ("RPB, _RPC.TXT, DIMAP XML, DigitalGlobe XML, EnMAP XML, JSON of rpcm or
 
 _LISTED = 8  # names in a message
 
-_NAME = re.compile(r"^[ \t]*(\w+)[ \t]*[:=][ \t]*", re.MULTILINE)
+_KEY = re.compile(r"^[ \t]*(\w+)[ \t]*[:=][ \t]*", re.MULTILINE)
 _ENCODING = re.compile(rb"""encoding\s*=\s*["']([\w.:-]+)""")
 _VALUE = re.compile(r"[^;\r\n]*")
 _NUMBERS = re.compile(r"[^\s,();]+")
@@ -219,7 +219,7 @@ def _entries(text: str) -> Iterator[tuple[str, str, int]]:
     """Yield name, value and line of the entries of an RPB or a _RPC.TXT."""
     closed = text.rfind(")")  # looked for once, as many may be open
     line, counted, at = 1, 0, 0
-    while name := _NAME.search(text, at):
+    while name := _KEY.search(text, at):
         # Lines are counted on from the last entry, so that the whole text is gone through once.
         line += text.count("\n", counted, name.start(1))
         counted = name.start(1)

@@ -35,7 +35,7 @@ _COORDINATES = {"row": "LINE", "line": "LINE", "col": "SAMP", "column": "SAMP", 
                 "longitude": "LONG", "alt": "HEIGHT", "altitude": "HEIGHT", "height": "HEIGHT"}
 _NUMBERS = {"off": "OFF", "offset": "OFF", "scale": "SCALE", "num": "NUM_COEFF",
             "den": "DEN_COEFF"}
-_NAME = re.compile("({})({})(?:coeffs?|coefs?)?([0-9]*)".format(*(
+_COEFFICIENT_NAME = re.compile("({})({})(?:coeffs?|coefs?)?([0-9]*)".format(*(
     "|".join(sorted(words, key=len, reverse=True)) for words in (_COORDINATES, _NUMBERS))))
 _ERRORS = {"errbias": "ERR_BIAS", "errrand": "ERR_RAND"}
 _IS_RPC = {"LINE_NUM_COEFF", "SAMP_DEN_COEFF"}
@@ -164,7 +164,7 @@ def _items(values: Mapping[str, Any]) -> Items:
         letters = re.sub(r"[^a-z0-9]", "", str(key).lower())
         if letters in _ERRORS:
             items[_ERRORS[letters]] = str(value)
-        match = _NAME.fullmatch(letters)
+        match = _COEFFICIENT_NAME.fullmatch(letters)
         if match is None:
             continue
         name = f"{_COORDINATES[match[1]]}_{_NUMBERS[match[2]]}"

@@ -16,7 +16,7 @@ _TWICE = re.compile(r"Cannot (?:overwrite|declare) \('(\w+)'")
 _DEEPEST = 100
 """Tables or lists within each other at most."""
 
-_LARGEST = 2**63
+_INTEGER_LIMIT = 2**63
 """Whole numbers of TOML have 64 bits."""
 
 
@@ -59,7 +59,7 @@ def read_toml(file: Path, kind: str, hint: str) -> tuple[dict[str, Any], str]:
         if isinstance(value, str) and "\0" in value:
             raise TermselError(f"this is not {kind}: the text of {key!r:.60} has a NUL character",
                                file=file, hint=hint)
-        if isinstance(value, int) and abs(value) > _LARGEST:
+        if isinstance(value, int) and abs(value) > _INTEGER_LIMIT:
             raise TermselError(f"this is not {kind}: the number of {key!r:.60} has more than 64 "
                                "bits", file=file, hint=hint)
     return table, text

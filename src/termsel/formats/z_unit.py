@@ -35,8 +35,9 @@ Z_UNIT = Option(
 
 _TELLING = 4  # heights from which on their scatter tells the unit
 _CLEAR = 1 / 3  # of the scatter, or of the distance, in another unit
-_BEYOND = 150.0  # metres by which no geoid is from an ellipsoid
-_WITHIN, _MOST, _FEW = 1.2, 0.9, 0.1  # half-ranges of an RPC's heights; shares of heights in them
+_MAX_GEOID_HEIGHT = 150.0  # metres by which no geoid is from an ellipsoid
+_WITHIN = 1.2  # half-ranges of an RPC's heights
+_MOST_HEIGHTS, _FEW_HEIGHTS = 0.9, 0.1  # shares of heights in them
 
 
 def with_z_unit(features: FeatureSet, stated: str | None, dem: Path | None = None) -> FeatureSet:
@@ -112,7 +113,7 @@ def _by_dem(features: FeatureSet, units: tuple[str, ...], dem: Path) -> str | No
         return _clearly({unit: _scatter(over) for unit, over in differences.items()})
     # Of few points only distances beyond that of any geoid tell a unit.
     distance = {unit: float(np.median(np.abs(over))) for unit, over in differences.items()}
-    return _clearly(distance) if max(distance.values()) > _BEYOND else None
+    return _clearly(distance) if max(distance.values()) > _MAX_GEOID_HEIGHT else None
 
 
 def _by_rpc(features: FeatureSet, units: tuple[str, ...], rpc: Rpc) -> str | None:
@@ -134,7 +135,7 @@ def _by_rpc(features: FeatureSet, units: tuple[str, ...], rpc: Rpc) -> str | Non
     if clearly is not None:
         return clearly
     best, second = sorted(units, key=lambda unit: -covered[unit])
-    return best if covered[best] >= _MOST and covered[second] <= _FEW else None
+    return best if covered[best] >= _MOST_HEIGHTS and covered[second] <= _FEW_HEIGHTS else None
 
 
 def _scatter(values: FloatArray) -> float:

@@ -32,7 +32,7 @@ from termsel.simulate.scenes import scene_truth
 
 README = "README.txt"
 
-FILES = {
+EXAMPLE_FILES = {
     "scene.tif": "the image of the tutorial: a checkerboard on hills",
     "dem.tif": "its heights, ellipsoidal",
     "gcps.csv": "its control points: 97 corners of the board",
@@ -82,8 +82,8 @@ def write_example(folder: Path) -> None:
         _control_features(new)
         _batch(new / "images")
         (new / "study.toml").write_text(_STUDY, encoding="utf-8")
-        width = max(map(len, FILES))
-        lines = [f"{name:{width}}  {description}\n" for name, description in FILES.items()]
+        width = max(map(len, EXAMPLE_FILES))
+        lines = [f"{name:{width}}  {description}\n" for name, description in EXAMPLE_FILES.items()]
         (new / README).write_text("Simulated data.\n\n" + "".join(lines), encoding="utf-8")
 
 

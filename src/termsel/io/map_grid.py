@@ -35,7 +35,7 @@ WIDE = 0.01
 
 _OUTLINE = 33  # places along either side of the image its extent on the map is found by
 _UNEVEN = 3.0  # largest pixel on the ground by the smallest, beyond which a view is oblique
-_LARGEST = 2e5  # pixels along either side of a map; more is a mistake in --res
+_MAX_MAP_SIDE = 2e5  # pixels along either side of a map; more is a mistake in --res
 _USUAL = 16, 30_000  # pixels along either side: others are a mistake unless the image has them
 
 
@@ -187,7 +187,7 @@ def grid_of_image(result: Result, crs: str, resolution: float | None = None, *,
     # An image may have such sides itself; a map that alone has them mixes up degrees and metres.
     is_tiny = min(map_sides) < fewest_pixels <= min(image_sides)
     is_huge = max(map_sides) > most_pixels >= max(image_sides)
-    if is_tiny or is_huge or max(map_sides) > _LARGEST:
+    if is_tiny or is_huge or max(map_sides) > _MAX_MAP_SIDE:
         raise TermselError(f"with pixels of {resolution:g} {unit} the map would have {lines:.0f} "
                            f"lines and {width:.0f} samples",
                            hint=f"Give --res in the units of the map, {unit}: the image has "

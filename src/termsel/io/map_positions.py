@@ -2,7 +2,7 @@
 
 A model is asked at nodes of a coarse grid on the map, at a few heights. Between nodes positions are
 bilinear in the plane, between heights quadratic, and every pixel has the height of the ground at
-its own place. The grid is made finer until positions at random pixels are within CLOSE of the
+its own place. The grid is made finer until positions at random pixels are within `CLOSE_PX` of the
 model's own.
 """
 
@@ -22,7 +22,7 @@ from termsel.data.features import FloatArray
 from termsel.fitting.fit import Fit
 from termsel.formats.heights import Dem
 
-CLOSE = 0.03
+CLOSE_PX = 0.03
 """Largest error of interpolated positions at pixels that are tried [px]: others are seldom above
 0.05."""
 
@@ -35,7 +35,7 @@ TRIED = 150
 LEVELS = 3
 """Heights at which a model is asked: it is quadratic between them."""
 
-MARGIN = 1.0
+HEIGHT_MARGIN = 1.0
 """What the lowest and highest of these heights are beyond those of the ground."""
 
 AT_ONCE = 20_000
@@ -45,8 +45,8 @@ LARGEST_DEM = 1 << 24
 """Pixels of a raster of heights that are read for a tile at once; of more, each place is looked up.
 """
 
-_BEYOND = 0.1  # of the image's extent on the ground, in which nodes still count
-_GAIN = 0.125  # part of CLOSE, below which the next tile is tried with a coarser grid
+_NODE_MARGIN = 0.1  # of the image's extent on the ground, in which nodes still count
+_COARSER_SHARE = 0.125  # part of `CLOSE_PX`, below which the next tile is tried with a coarser grid
 
 
 @dataclass(eq=False)
@@ -89,17 +89,17 @@ class MapPositions:
         sampled = self._tried(has_height)
         plan = self._ground(sampled.astype(np.float64) + 0.5, transform)
         exact = self._positions(np.column_stack([plan, heights[tuple(sampled.T)]]))
-        # The step is halved until the largest error at the sampled pixels is below CLOSE; it begins
-        # with the one that the last tile needed, as neighbours are alike.
+        # The step is halved until the largest error at the sampled pixels is below `CLOSE_PX`; it
+        # begins with the one that the last tile needed, as neighbours are alike.
         step = self._step
         while True:
             positions = self._interpolated(shape, transform, heights, levels, step)
             error = _largest_error(positions[tuple(sampled.T)], exact)
-            if error <= CLOSE or step <= FINEST:
+            if error <= CLOSE_PX or step <= FINEST:
                 break
             step //= 2
-        self._step = min(2 * step, COARSEST) if error < _GAIN * CLOSE else step
-        if error > CLOSE:
+        self._step = min(2 * step, COARSEST) if error < _COARSER_SHARE * CLOSE_PX else step
+        if error > CLOSE_PX:
             return self._each(shape, transform, heights)
         return positions
 
@@ -160,14 +160,14 @@ class MapPositions:
 
         corners = self.footprint[np.isfinite(self.footprint[:, :2]).all(axis=1), :2]
         equations = ConvexHull(corners).equations
-        margin = _BEYOND * float(np.ptp(corners, axis=0).max())
+        margin = _NODE_MARGIN * float(np.ptp(corners, axis=0).max())
         return equations[:, :2], margin - equations[:, 2]
 
     def _levels(self, low: float, high: float) -> FloatArray:
         """Return the heights at which the model is asked."""
         if not self.fitted.model.uses_height or low == high:
             return np.array([low])
-        return np.linspace(low - MARGIN, high + MARGIN, LEVELS)
+        return np.linspace(low - HEIGHT_MARGIN, high + HEIGHT_MARGIN, LEVELS)
 
     def _ground(self, pixels: FloatArray, transform: Any) -> FloatArray:
         """Return x and y in the CRS of the control of lines and samples (n, 2) of a tile."""

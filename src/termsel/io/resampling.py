@@ -25,10 +25,10 @@ KERNELS = {"nearest": 0, "bilinear": 1, "cubic": 2, "cubic_spline": 3, "lanczos"
 RADII = (0.5, 1.0, 2.0, 2.0, 3.0, 0.5)
 """Distance at which each kernel ends [px]."""
 
-ALIKE = 1.05
+ALIKE_PIXEL_RATIO = 1.05
 """Pixels of the map by those of the image, up to which they count as alike."""
 
-_LEAST = 1e-5  # sum of weights of pixels with data, below which there is nothing to show
+_MIN_WEIGHT_SUM = 1e-5  # sum of weights of pixels with data, below which there is nothing to show
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,7 @@ def resampled(window: ImageWindow, positions: FloatArray, resampling: str, size:
     # Where pixels of the map are larger than those of the image, kernels are widened by as much.
     stretch = np.maximum(_stretch(positions), 1.0)
     # A few per cent of difference are no reason to blur the map.
-    stretch[stretch <= ALIKE] = 1.0
+    stretch[stretch <= ALIKE_PIXEL_RATIO] = 1.0
     if kernel == KERNELS["nearest"]:
         stretch[:] = 1.0
     fill = _fill_complex if window.values.dtype.kind == "c" else _fill
@@ -222,7 +222,7 @@ def _filled(pixels: Any, has_data: Any, first_line: int, first_sample: int, posi
                             weights += weight
                             total += weight * pixels[band, r, c]
                 # At an edge the kernel may have almost no pixels below it.
-                if weights > _LEAST:
+                if weights > _MIN_WEIGHT_SUM:
                     value = total / weights
                     if integral:
                         value = min(max(np.floor(value + 0.5), low), high)

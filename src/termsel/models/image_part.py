@@ -29,9 +29,9 @@ RPC_SCALE = Option(
     "image, such as 2: the image was reduced.", float, 1e-3, 1e3)
 
 _PAIR = re.compile(r"\s*([-+.\deE]+)\s*,\s*([-+.\deE]+)\s*")
-_FAR = 100.0
+_FAR_PX = 100.0
 """Median distance [px] from which on an RPC may be of another image: vendors' are nearer."""
-_ALIKE = 0.05
+_EXPLAINED_SHARE = 0.05
 """Share of the distance, or of the image, by which points may differ that a part explains."""
 _MEASURED = 3.0
 """Scatter of measured points about a part [px] that needs no explanation."""
@@ -41,8 +41,8 @@ _SIMPLE = 0.02
 """Relative difference of a factor from a simple one up to which it is that."""
 _FACTORS = (*range(2, 17), *(1 / n for n in range(2, 17)), 1.5, 2.5, 2 / 3, 0.75, 4 / 3)
 _ROUND = 10.0  # px
-_LEAST = 3  # points that tell a part
-_MOST = 60  # points whose pairs are looked at
+_MIN_PART_POINTS = 3  # points that tell a part
+_MAX_PAIRED_POINTS = 60  # points whose pairs are looked at
 
 
 @dataclass(frozen=True)
@@ -133,14 +133,15 @@ def recognised(predicted: FloatArray, measured: FloatArray) -> ImagePart | None:
     is_seen = np.isfinite(predicted).all(axis=1)
     predicted = predicted[is_seen]
     measured = measured[is_seen]
-    if len(predicted) < _LEAST or np.median(np.linalg.norm(predicted - measured, axis=1)) < _FAR:
+    if len(predicted) < _MIN_PART_POINTS \
+            or np.median(np.linalg.norm(predicted - measured, axis=1)) < _FAR_PX:
         return None
     # Ratios of distances do not depend on where the part begins, so the factor comes first.
     factor = _factor(predicted, measured)
     scale = _simple(factor) if abs(factor - 1.0) > _REDUCED else 1.0
     start = np.median(predicted + 0.5 - scale * (measured + 0.5), axis=0)
     # Less than what vendors' RPCs are off is a shift of the RPC; more is where the part begins.
-    start = _ROUND * np.round(start / _ROUND) if np.abs(start).max() > _FAR or scale == 1.0 \
+    start = _ROUND * np.round(start / _ROUND) if np.abs(start).max() > _FAR_PX or scale == 1.0 \
         else np.zeros(2)
     image_part = ImagePart((float(start[0]), float(start[1])), scale)
     # The rest about its median: a shift is for the correction, only scatter speaks against the
@@ -148,12 +149,13 @@ def recognised(predicted: FloatArray, measured: FloatArray) -> ImagePart | None:
     offsets = image_part.places(predicted) - measured
     scatter = float(np.median(np.linalg.norm(offsets - np.median(offsets, axis=0), axis=1)))
     wide = float(np.linalg.norm(np.ptp(measured, axis=0)))
-    return image_part if scatter < max(_MEASURED, _ALIKE * wide / 2) and wide > _FAR else None
+    is_explained = scatter < max(_MEASURED, _EXPLAINED_SHARE * wide / 2)
+    return image_part if is_explained and wide > _FAR_PX else None
 
 
 def _factor(predicted: FloatArray, measured: FloatArray) -> float:
     """Return the median ratio of distances between points in both images."""
-    sample = np.linspace(0, len(predicted) - 1, min(len(predicted), _MOST)).astype(int)
+    sample = np.linspace(0, len(predicted) - 1, min(len(predicted), _MAX_PAIRED_POINTS)).astype(int)
     pairs = np.array(list(combinations(sample.tolist(), 2)))
     first = pairs[:, 0]
     second = pairs[:, 1]

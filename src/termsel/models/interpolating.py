@@ -17,7 +17,7 @@ from termsel.data.monomials import Exponents, graded_exponents
 from termsel.models.helmert import plane_units
 from termsel.models.polynomial import Polynomial
 
-EXACT = 3000
+MAX_EXACT_SPLINE = 3000
 """Most points that a spline meets exactly: it has a kernel around each, and a matrix of all, whose
 time grows with the third power of their number."""
 
@@ -75,7 +75,7 @@ class ThinPlate(Interpolating):
 
     def interpolation(self, control: FeatureSet) -> Interpolation | None:
         """Return the spline (see `SensorModel.interpolation`)."""
-        if self.options["smoothing"] == 0 and len(control.points) > EXACT:
+        if self.options["smoothing"] == 0 and len(control.points) > MAX_EXACT_SPLINE:
             raise TermselError(
                 f"a spline that meets {amount(len(control.points), 'point')} exactly takes too "
                 "long", hint="Leave smoothing out, or give one above 0.")

@@ -13,7 +13,7 @@ AXES = ("line", "sample", "both")
 
 _CODES = {"numerator": "num", "denominator": "den"}
 _PARTS = {code: part for part, code in _CODES.items()}
-_NAME = re.compile(r"(?:(line|sample)\.)?(?:([^:]+):)?(.*)", re.DOTALL)
+_TERM_NAME = re.compile(r"(?:(line|sample)\.)?(?:([^:]+):)?(.*)", re.DOTALL)
 _POWER = r"({}(?:[2-9]|[1-9][0-9]+)?)?"
 _MONOMIAL = re.compile("".join(map(_POWER.format, "XYZ")))
 
@@ -115,7 +115,7 @@ class Term:
 
 @lru_cache(maxsize=1024)
 def _parsed(text: str) -> Term:
-    match = _NAME.fullmatch(text)
+    match = _TERM_NAME.fullmatch(text)
     assert match is not None  # the pattern takes any text
     axis, kind, column = match.groups()
     return Term(axis or "both", _PARTS.get(kind, kind or ""), column)

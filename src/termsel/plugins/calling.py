@@ -13,7 +13,7 @@ import pluggy
 from termsel.plugins.hookspecs import PROJECT
 from termsel.plugins.loading import Plugin, Slot, new_manager
 
-MOST = 10_000
+MAX_RETURNED = 10_000
 """Things that a plugin may return from a hook: a generator without an end is no list."""
 
 
@@ -81,8 +81,8 @@ def listed(value: Any) -> list[Any]:
     items: list[Any] = []
     for item in value:
         items.append(item)
-        if len(items) > MOST:
-            raise TypeError(f"returned more than {MOST:,} things; the list must end")
+        if len(items) > MAX_RETURNED:
+            raise TypeError(f"returned more than {MAX_RETURNED:,} things; the list must end")
     return items
 
 

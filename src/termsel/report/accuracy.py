@@ -8,7 +8,7 @@ from termsel.data.record.figures import MANY_INDEPENDENT, Accuracy, Predicted
 from termsel.data.record.record import Record
 from termsel.report.verdict import contradicting
 
-_ROUNDING = 1e-9
+_ROUNDING_PX = 1e-9
 """Predicted RMSE [px] below which points without errors leave only rounding."""
 _MEASURABLE = 0.01
 """RMSE [px] below which points were computed: nobody measures so well."""
@@ -50,7 +50,7 @@ def accuracy_lines(record: Record) -> list[str]:
     if predicted_first(record):
         # Points without errors leave a prediction of rounding, whose ratio to anything means
         # nothing.
-        if predicted.high < _ROUNDING:
+        if predicted.high < _ROUNDING_PX:
             return ["the points fit exactly", _measured(accuracy), *_doubts(record, accuracy)]
         measured = _measured(accuracy).replace("RMSE at", "at")  # the line above names it
         return [_prediction(predicted), f"{measured}{_agreement(accuracy, predicted)}",
@@ -73,14 +73,14 @@ def are_computed(record: Record) -> bool:
     if record.accuracy is not None:
         # Both figures must be too small to be measured: one of them may be small by luck.
         return max(record.accuracy.image.total, expected.high if expected else 0.0) < _MEASURABLE
-    return expected is not None and _ROUNDING <= expected.high < _MEASURABLE
+    return expected is not None and _ROUNDING_PX <= expected.high < _MEASURABLE
 
 
 def agreement_of_computed(record: Record) -> str:
     """Return that a model meets points that were computed, and that this is no accuracy."""
     expected = expected_of(record)
     size = record.accuracy.image.total if record.accuracy else expected.rmse if expected else 0.0
-    agreement = f"to {rounded(size)} px" if size >= _ROUNDING else "to rounding"
+    agreement = f"to {rounded(size)} px" if size >= _ROUNDING_PX else "to rounding"
     return (f"the model predicts held-out points to within {agreement}, closer than anyone "
             "measures. "
             "They were computed, or one column is a copy of another: nothing tells the accuracy")
@@ -103,7 +103,7 @@ def _unverified(predicted: Predicted | None) -> list[str]:
     """Return what is known without independent check points."""
     if predicted is None:
         return ["not known: no independent check points"]
-    if predicted.high < _ROUNDING:
+    if predicted.high < _ROUNDING_PX:
         return ["the points fit exactly; not verified: no independent check points"]
     return [_prediction(predicted), "not verified: no independent check points"]
 

@@ -46,7 +46,7 @@ from termsel.report.view import View
 EXACT_BELOW = 1e-9
 """RMSE [px] that is rounding of the computation alone."""
 
-_UNLIKELY, _FAR = 0.01, 2.576
+_UNLIKELY, _FAR_DEVIATIONS = 0.01, 2.576
 """Chance below which a mean error or a shape is no accident, and how many standard deviations."""
 
 
@@ -231,7 +231,8 @@ def _shape(of: InImage | OnGround, unit: str, rmse: dict[str, float]) -> Iterato
     sentence = f"Mean error: {figures}."
     # A mean of n errors scatters by rmse / sqrt(n): beyond 2.576 of that, 1 % of means are by
     # chance.
-    far = [axis for axis, mean in means.items() if abs(mean) > _FAR * of.n**-0.5 * rmse[axis] > 0]
+    far = [axis for axis, mean in means.items()
+           if abs(mean) > _FAR_DEVIATIONS * of.n**-0.5 * rmse[axis] > 0]
     yield f"{sentence} The bias of {' and '.join(far)} is significant." if far \
         else Detail(sentence)
     if of.normal:

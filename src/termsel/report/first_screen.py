@@ -16,11 +16,11 @@ from termsel.report.blocks import Fact
 from termsel.report.compared import label_of
 from termsel.report.verdict import off_option
 
-LINES = 12
+SCREEN_LINES = 12
 """Lines of the first screen, the command that comes last included."""
 _SOURCE = 32
 """Characters of the names of files and of ids."""
-_NAMED = 3
+_MAX_OUTLIERS_NAMED = 3
 """Outliers that are named."""
 _LONGEST_OPTION = 60
 """Characters of the option that leaves out outliers."""
@@ -33,7 +33,7 @@ _NO_FIT, _BLUNT = 0.01, 0.005
 an error that must be exceeded to be detected."""
 _CONTRADICTED = 2.0
 """Times the upper end of the predicted RMSE beyond which independent points contradict it."""
-_ALIKE = 1.05
+_ALIKE_RATIO = 1.05
 """Ratio of two RMSE below which the difference is of no practical use."""
 _CHANCE = 1.15
 """Ratio up to which a model that was not chosen may be better by chance, in leave-one-out."""
@@ -46,13 +46,13 @@ def first_screen(record: Record) -> list[Fact]:
     warnings = _warnings(record)
     # Room for the first warning is kept before the facts are: it must be seen.
     reserved = min(_height(Fact(warnings[0], "Caution")), _MOST_OF_A_WARNING) if warnings else 0
-    room = LINES - 1 - reserved - (1 if len(warnings) > 1 else 0)
+    room = SCREEN_LINES - 1 - reserved - (1 if len(warnings) > 1 else 0)
     facts = _facts(record, brief=0)
     # Facts become shorter step by step, until they fit.
     for brief in (1, 2):
         if _total_height(facts) > room:
             facts = _facts(record, brief)
-    return [*facts, *_cautions(warnings, LINES - 1 - _total_height(facts))]
+    return [*facts, *_cautions(warnings, SCREEN_LINES - 1 - _total_height(facts))]
 
 
 def _facts(record: Record, brief: int) -> list[Fact]:
@@ -302,19 +302,19 @@ def _grouped(record: Record) -> tuple[list[Outlier], list[Outlier], list[Outlier
 
 def are_all_named(record: Record) -> bool:
     """Return whether the first screen names all outliers, with the option that leaves them out."""
-    return max(map(len, _grouped(record))) <= _NAMED and \
+    return max(map(len, _grouped(record))) <= _MAX_OUTLIERS_NAMED and \
         len(off_option(record)) <= _LONGEST_OPTION
 
 
 def _listed(outliers: Sequence[Outlier]) -> str:
     """Return the worst outliers with their errors; the unit stands at the first."""
     texts = []
-    for i, outlier in enumerate(outliers[:_NAMED]):
+    for i, outlier in enumerate(outliers[:_MAX_OUTLIERS_NAMED]):
         certainty = "" if outlier.certainty == "certain" else f" ({outlier.certainty})"
         unit = " px" if i == 0 else ""
         texts.append(f"{cut(outlier.id, _SOURCE)} {rounded(outlier.error)}{unit}{certainty}")
-    if len(outliers) > _NAMED:
-        texts.append(f"{len(outliers) - _NAMED} more")
+    if len(outliers) > _MAX_OUTLIERS_NAMED:
+        texts.append(f"{len(outliers) - _MAX_OUTLIERS_NAMED} more")
     return ", ".join(texts)
 
 
@@ -378,7 +378,7 @@ def _by_points(record: Record) -> bool:
 def _verdict(record: Record, own_rmse: float, rival_rmse: float) -> str:
     """Return in a few words what the ratio of two RMSE is worth."""
     # RMSE within 5 % of each other are alike: sets of some twenty points tell no more.
-    similar = own_rmse <= _ALIKE * rival_rmse and rival_rmse <= _ALIKE * own_rmse
+    similar = own_rmse <= _ALIKE_RATIO * rival_rmse and rival_rmse <= _ALIKE_RATIO * own_rmse
     if record.strategy:
         if similar:
             return "no practical difference"

@@ -17,7 +17,7 @@ from termsel.report.theme import require_altair
 EMBED = "termselEmbed"
 """The function of the library, by a name that no other script on a page has."""
 
-_KEPT = Path(__file__).parent / "__pycache__"
+_CACHE_FOLDER = Path(__file__).parent / "__pycache__"
 
 
 @cache
@@ -35,7 +35,7 @@ def library() -> str:
     require_altair()
     with requires("pages require", "vl-convert-python", '"termsel[report]"'):
         import vl_convert  # noqa: F401 (what another process imports)
-    cached = _KEPT / f"{EMBED}-{version('vl-convert-python')}-{__version__}.js"
+    cached = _CACHE_FOLDER / f"{EMBED}-{version('vl-convert-python')}-{__version__}.js"
     with suppress(OSError):
         # The checksum refuses what a crash, or another program, has left there.
         checksum, _, data = cached.read_bytes().partition(b"\n")
@@ -46,7 +46,7 @@ def library() -> str:
         "</script", "<\\/script")
     # A page is written all the same where the folder of the module cannot be written to.
     with suppress(OSError, TermselError):
-        _KEPT.mkdir(exist_ok=True)
+        _CACHE_FOLDER.mkdir(exist_ok=True)
         data = text.encode()
         write_bytes(cached, _checksum(data) + b"\n" + data)
     return text

@@ -8,7 +8,7 @@ from termsel.core.errors import percent
 from termsel.data.record.search import Member, SelectionRecord, SizeRow
 
 TITLE = "best of its size"
-COUNTS = {"n_terms": "terms", "n_features": "control features"}
+SIZE_WORDS = {"n_terms": "terms", "n_features": "control features"}
 
 _TIE = 1e-9  # criteria that differ relatively by less are equal
 
@@ -64,7 +64,7 @@ def size_of(member: Member | SizeRow) -> str:
 
 def counted_by(members: Sequence[Member | SizeRow]) -> str:
     """Return what members count, in words."""
-    return COUNTS.get(size_of(members[0]), size_of(members[0]))
+    return SIZE_WORDS.get(size_of(members[0]), size_of(members[0]))
 
 
 def _ranges(sizes: Sequence[int]) -> str:

@@ -26,7 +26,7 @@ Row = dict[str, Any]
 
 SIGMA_SIDE = 28
 """Cells along either side of the map of uncertainty."""
-DRAWN, LARGEST = 2000, 1000
+DRAWN, LARGEST_RESIDUALS = 2000, 1000
 """Most residuals that are drawn, and how many of them are the largest: nobody can tell more apart,
 and no browser draws a hundred thousand."""
 SMOOTH = 8
@@ -66,7 +66,7 @@ class View:
         """Which residuals are shown, in a sentence; "" where all are."""
         if self._drawn is self.residuals:
             return ""
-        return (f"Shown are the {LARGEST:,} largest of {self.count:,} residuals, and one "
+        return (f"Shown are the {LARGEST_RESIDUALS:,} largest of {self.count:,} residuals, and one "
                 f"in {self._step:,} of all. The file residuals.csv has all of them.")
 
     @cached_property
@@ -98,7 +98,7 @@ class View:
         """Features by their largest residual, the largest first."""
         largest: dict[str, Row] = {}
         # A feature of several vertices has the largest of their residuals.
-        for i in self._by_length[:None if self._drawn is self.residuals else LARGEST]:
+        for i in self._by_length[:None if self._drawn is self.residuals else LARGEST_RESIDUALS]:
             if np.isfinite(self.residuals[i].distance):
                 largest.setdefault(self.residuals[i].id, self._named(self.residuals[i]))
         return list(largest.values())
@@ -244,13 +244,15 @@ class View:
     def _step(self) -> int:
         """Every how manieth residual is drawn."""
         # The negative of the floor of the negative rounds upwards.
-        return -(-len(self.residuals) // (DRAWN - LARGEST)) if len(self.residuals) > DRAWN else 1
+        if len(self.residuals) <= DRAWN:
+            return 1
+        return -(-len(self.residuals) // (DRAWN - LARGEST_RESIDUALS))
 
     @cached_property
     def _which(self) -> list[int]:
         """Which residuals are drawn."""
         regular = range(0, len(self.residuals), self._step)
-        return sorted({*regular, *self._by_length[:LARGEST]})
+        return sorted({*regular, *self._by_length[:LARGEST_RESIDUALS]})
 
     @cached_property
     def _drawn(self) -> Residuals:

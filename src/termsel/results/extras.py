@@ -24,7 +24,7 @@ from termsel.report.blocks import (
 from termsel.report.text import text_of
 
 # A result is `Any` here: `Result` itself shows these sections.
-_MOST = 1000  # blocks of a section: a generator without an end is no section
+_MAX_BLOCKS = 1000  # blocks of a section: a generator without an end is no section
 _BLOCKS = str | Note | Detail | Statement | Code | Names | TableBlock
 
 
@@ -89,7 +89,7 @@ def section_of(declared: ReportSection, result: Any) -> Section:
 def _made(declared: ReportSection, result: Any) -> Section:
     with blamed(declared.blocks, "blocks"):
         # A generator may have no end.
-        blocks = tuple(islice(declared.blocks(result), _MOST))
+        blocks = tuple(islice(declared.blocks(result), _MAX_BLOCKS))
         section = Section(declared.title, blocks)
         unknown = [block for block in blocks
                    if not isinstance(getattr(block, "block", block), _BLOCKS)]

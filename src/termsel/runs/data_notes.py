@@ -24,7 +24,7 @@ from termsel.runs.blank_heights import note_on_blank
 SOME = 5
 """Number of points from which on heights may be told from errors."""
 
-NAMED = 5
+MAX_GROUPS_NAMED = 5
 """Groups of points that a note names."""
 
 HIGH = 100.0
@@ -178,5 +178,7 @@ def _on_twins(points: Points, independent: Points) -> Iterator[str]:
 
 
 def _listed(id_groups: list[tuple[str, ...]]) -> str:
-    texts = ", ".join(" and ".join(group) for group in id_groups[:NAMED])
-    return f"{texts} and {len(id_groups) - NAMED} more groups" if len(id_groups) > NAMED else texts
+    texts = ", ".join(" and ".join(group) for group in id_groups[:MAX_GROUPS_NAMED])
+    if len(id_groups) <= MAX_GROUPS_NAMED:
+        return texts
+    return f"{texts} and {len(id_groups) - MAX_GROUPS_NAMED} more groups"

@@ -32,7 +32,7 @@ from termsel.models.base import SensorModel
 log = logging.getLogger(__name__)
 
 AUTO = "auto"
-LONG = 40
+MAX_CRS_NAME = 40
 """Characters from which on the name of a CRS does not fit into a sentence."""
 
 POLAR = "polar"
@@ -134,7 +134,7 @@ def note_on_pole(features: FeatureSet, control: FeatureSet) -> str:
     if not is_polar(geodetic):
         return ""
     polar = polar_crs(features.crs, float(np.median(geodetic[:, 1])))
-    name = f" ({polar})" if len(polar) < LONG else ""
+    name = f" ({polar})" if len(polar) < MAX_CRS_NAME else ""
     return ("The control lies around a pole, where degrees of longitude are no plane coordinates: "
             f"--fit-crs polar{name} or --fit-crs auto fits in metres.")
 

@@ -21,8 +21,8 @@ from termsel.selection.criteria import Criterion
 from termsel.selection.problems.genome import Genome
 from termsel.selection.solvers.search import SearchResult
 
-_ROUNDING = 1e-9  # px: smaller errors are those of arithmetic
-ALIKE = 1.05
+_ROUNDING_PX = 1e-9  # px: smaller errors are those of arithmetic
+ALIKE_RATIO = 1.05
 """Two RMSE whose ratio is below this are called alike: with a few dozen independent points
 an RMSE is itself uncertain by more."""
 POOR = 3.0
@@ -75,12 +75,12 @@ def judge(conventional: str, criterion: str, rmse: Rmses,
         title = f"{method.title} fitted to control and selection points{removed}"
         ratio = _ratio(measured.total, _independent(best))
         size = _px(_independent(best))
-        if ratio > ALIKE and (blunders or not method.is_plain):
+        if ratio > ALIKE_RATIO and (blunders or not method.is_plain):
             sentences.append(f"The automatic choice, {title}, is {_times(ratio)} better ({size}): "
                              "omit --problem and --solver.")
-        elif ratio > ALIKE:
+        elif ratio > ALIKE_RATIO:
             sentences.append(f"A simpler model, {title}, is {_times(ratio)} better ({size}).")
-        elif ratio > 1 / ALIKE:
+        elif ratio > 1 / ALIKE_RATIO:
             sentences.append(f"It is no better than the automatic choice, {title} ({size}).")
         else:
             sentences.append(f"It is {_times(1 / ratio)} better than the automatic choice, {title} "
@@ -150,7 +150,7 @@ def _in_hindsight(rmse: float, named: Baseline,
     best, title = min(conventional, key=lambda rival: _independent(rival[0]))
     # Said apart, as these points chose it in hindsight.
     ratio = _ratio(rmse, _independent(best))
-    if ratio > ALIKE and best is not named:
+    if ratio > ALIKE_RATIO and best is not named:
         yield (f"At these points {title} is {_times(ratio)} better ({_px(_independent(best))}), "
                "which only these points show.")
 
@@ -175,8 +175,8 @@ def _independent(baseline: Baseline) -> float:
 
 
 def _ratio(error: float, reference: float) -> float:
-    """Return how many times one error is the other; below `_ROUNDING` all are alike."""
-    return max(error, _ROUNDING) / max(reference, _ROUNDING)
+    """Return how many times one error is the other; below `_ROUNDING_PX` all are alike."""
+    return max(error, _ROUNDING_PX) / max(reference, _ROUNDING_PX)
 
 
 def _px(value: float) -> str:
@@ -191,9 +191,9 @@ def _compare(start: str, rmse: float, reference: float, title: str, *, determine
     figures = f"({_px(rmse)} against {_px(reference)}"
     figures += ")" if determined else ", which is rank-deficient)"
     ratio = _ratio(reference, rmse)
-    if ratio > ALIKE:
+    if ratio > ALIKE_RATIO:
         return f"{start} {_times(ratio)} better than {title} {figures}"
-    if ratio > 1 / ALIKE:
+    if ratio > 1 / ALIKE_RATIO:
         return f"{start} no better than {title} {figures}"
     return f"{start} {_times(1 / ratio)} worse than {title} {figures}"
 

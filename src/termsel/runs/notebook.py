@@ -12,7 +12,7 @@ from typing import Any
 
 from termsel.selection.solvers.ledger import Progress
 
-_EVERY = 0.2
+_RENEWAL_SECONDS = 0.2
 """Seconds between two renewals."""
 
 _inside = ContextVar("_inside", default=False)
@@ -65,7 +65,7 @@ def _line(title: str) -> Callable[[str, bool], None] | None:
     def show(text: str, last: bool) -> None:
         nonlocal shown
         # Renewing a line costs more than a generation of a small problem.
-        if time.monotonic() - shown >= _EVERY or last:
+        if time.monotonic() - shown >= _RENEWAL_SECONDS or last:
             shown = time.monotonic()
             line.update({"text/plain": text}, raw=True)
 

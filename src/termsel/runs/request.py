@@ -33,7 +33,7 @@ from termsel.selection.solvers.budget import SEARCH_OPTIONS
 FILE = "file"
 """The roles of the file, in place of a split."""
 
-ALIKE = "1:1:1"
+EQUAL_SHARES = "1:1:1"
 """Shares of control, check and independent points for a search."""
 
 SEVERAL_OBJECTIVES = "nsga2"

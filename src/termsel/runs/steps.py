@@ -67,7 +67,7 @@ def search_in_steps(task: Task, **how: Any) -> SearchResult:
     # The second step searches the other genes with those of the first held.
     first_genes = beginning.genome.chosen(first.genes[None])[0]
     second = search(problem.frozen(first_genes, ~later), solver, **options, **{**how, **{
-        name: max(value - getattr(first, name), _LEAST if name == "seconds" else 1)
+        name: max(value - getattr(first, name), _MIN_STEP_SECONDS if name == "seconds" else 1)
         for name, value in budget.items()}})
     by = [f" by {name}" if task.then else "" for name in (task.solver.name, solver.name)]
     note = (f"In two steps: {step} first{by[0]}, {problem.objectives[0]} "
@@ -80,7 +80,7 @@ def search_in_steps(task: Task, **how: Any) -> SearchResult:
 _LIMITS = ("generations", "evaluations", "seconds")
 """Of a budget that two steps share."""
 
-_LEAST = 1e-3
+_MIN_STEP_SECONDS = 1e-3
 """Seconds of a second step for which the first left no time: enough for one population."""
 
 

@@ -28,7 +28,7 @@ from termsel.plugins.registry import registry
 from termsel.runs.enough import require_enough
 from termsel.runs.fit_crs import with_fit_crs
 from termsel.runs.given import objectives_of
-from termsel.runs.request import ALIKE, FILE, Request, request_of, require_type, split_of
+from termsel.runs.request import EQUAL_SHARES, FILE, Request, request_of, require_type, split_of
 from termsel.selection.criteria import Criterion
 from termsel.selection.problems.base import Problem, ProblemData
 from termsel.selection.problems.constraints import without_heights
@@ -39,7 +39,7 @@ from termsel.selection.solvers.search import require_able
 
 MIN_CONTROL = 3
 
-FEW = 12
+MIN_POINTS_TO_DIVIDE = 12
 """Number of points without any role below which all are control for a search that needs no check
 points: leave-one-out then tells the accuracy."""
 
@@ -281,14 +281,14 @@ def _usual_shares(request: Request, *, auto: bool) -> str:
     # A search that judges by selection points needs a third for these, a third for the verdict.
     if request.criterion.needs_check or not points_are_control \
             or request.options["data"]["roles"] != FILE:
-        return ALIKE
+        return EQUAL_SHARES
     # Of a lattice whole lines are held out, so that no point need be set aside.
     if auto and lattice_of(request.features.points) is not None:
         return ALL_CONTROL  # its lines and columns are held out
     if auto:
         return SPARED if len(roles) >= MANY and "independent" not in roles else ALL_CONTROL
-    return ALL_CONTROL if len(roles) < FEW and not {"control", "check"} & set(roles) \
-        and request.recipe.control == "points" else ALIKE
+    has_few = len(roles) < MIN_POINTS_TO_DIVIDE and not {"control", "check"} & set(roles)
+    return ALL_CONTROL if has_few and request.recipe.control == "points" else EQUAL_SHARES
 
 
 def _built(request: Request, inputs: ProblemData) -> Problem:

@@ -32,7 +32,7 @@ from termsel.fitting.method import Suspects
 UNSEEN = 0.1
 """Error in the image that nobody can see, so that it makes no feature a blunder [px]."""
 
-FEW = 17
+MIN_TESTED_FEATURES = 17
 """Number of features below which a note says what errors cannot be found."""
 
 
@@ -227,7 +227,7 @@ def _outliers(features: FeatureSet, roles: dict[str, Role],
 def _limits(features: FeatureSet, suspects: Suspects) -> Iterator[str]:
     """Yield which errors cannot be found, where features are few."""
     # With many features the limits are a few noise levels: nothing to warn of.
-    if len(features) >= FEW:
+    if len(features) >= MIN_TESTED_FEATURES:
         return
     index = int(np.argmax(suspects.limits))
     median_limit = float(median(suspects.limits))

@@ -21,7 +21,7 @@ from termsel.simulate.terrain import Terrain, hilly
 LON, LAT, LOW, HIGH = 48.5, 34.8, 1500.0, 2200.0
 SIZE = (500, 600)
 GSD = 10.0
-NOISE = 0.15
+EXAMPLE_NOISE = 0.15
 CRS, MAP_CRS = "EPSG:4979", "EPSG:32639"
 SIDE = 0.004, 0.0033  # degrees: about 366 m each way
 VENDOR = 14.0, -9.0  # px that the vendor's RPC is off in line and sample
@@ -55,7 +55,7 @@ def picture_and_points() -> tuple[np.ndarray, Points]:
     pixels = np.clip(brightness + rng.normal(0.0, 2.0, brightness.shape), 1, 255).astype(np.uint8)
     # Only every other corner: the rest are for whoever wants to check the result.
     ground = corners()[::2]
-    image = SENSOR.project(ground) + rng.normal(0.0, NOISE, (len(ground), 2))
+    image = SENSOR.project(ground) + rng.normal(0.0, EXAMPLE_NOISE, (len(ground), 2))
     return pixels, Points(tuple(f"C{i}" for i in range(len(ground))), np.round(image, 3),
                           np.column_stack([ground[:, :2], ground[:, 2].round(3)]))
 

@@ -36,7 +36,7 @@ from termsel.simulate.terrain import Terrain, hilly
 _EDGE = 0.015  # fraction of the image at each edge without measurements
 _CANDIDATES = 24  # places tried for each point
 _LATEST = 500  # places to which distances are computed one by one
-_SMALLEST, _LARGEST = 4.0, 15.0  # sideways displacement of a mismatched line [px]
+_SMALLEST_MISMATCH, _LARGEST_MISMATCH = 4.0, 15.0  # sideways displacement of a mismatched line [px]
 
 
 @dataclass(frozen=True)
@@ -349,7 +349,8 @@ def _displaced(image: FloatArray, rng: Generator, wrong: int) -> FloatArray:
     direction = image[picked, 1] - image[picked, 0]
     sideways = np.column_stack([-direction[:, 1], direction[:, 0]])
     sideways /= np.linalg.norm(direction, axis=1, keepdims=True)
-    offset = rng.uniform(_SMALLEST, _LARGEST, wrong) * rng.choice([-1.0, 1.0], wrong)
+    size = rng.uniform(_SMALLEST_MISMATCH, _LARGEST_MISMATCH, wrong)
+    offset = size * rng.choice([-1.0, 1.0], wrong)
     moved = image.copy()
     moved[picked] += (offset[:, None] * sideways)[:, None]
     return moved

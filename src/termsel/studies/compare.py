@@ -137,7 +137,7 @@ def compare(
         return Study(spec, labels, finished, Path(out) if out is not None else None)
 
 
-LONG = 20.0
+LONG_CELL_SECONDS = 20.0
 """Seconds from which on a cell is not run again to learn its time."""
 
 TIMED = 3
@@ -185,7 +185,7 @@ def estimate(study: Path | str | Mapping[str, Any] | None = None, **keys: Any
 
     Arguments as for `compare`. Seconds are the mean of up to `TIMED` cells, with few, middling and
     many features; None if one of them failed. The first of all is run twice, unless it takes
-    `LONG`.
+    `LONG_CELL_SECONDS`.
     """
     spec, folder = asked(study, keys)
     # Before anything is run: the first cell would otherwise count the compilation.
@@ -200,7 +200,7 @@ def estimate(study: Path | str | Mapping[str, Any] | None = None, **keys: Any
             continue
         sample = _of_all_sizes(works, features)
         records = [do(cell, features[cell.data.key]).record for cell in sample]
-        if cold or records[0].figures.get("seconds", LONG) < LONG:
+        if cold or records[0].figures.get("seconds", LONG_CELL_SECONDS) < LONG_CELL_SECONDS:
             # The first run of a kind also loads or compiles what it needs.
             records[0] = do(sample[0], features[sample[0].data.key]).record
         seconds = [record.figures.get("seconds") for record in records]

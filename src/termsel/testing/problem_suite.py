@@ -17,7 +17,7 @@ from termsel.testing.cases import Case, Suite, check_declaration, pickled, requi
 
 Make = Callable[[], Problem]
 
-FEW = 12
+BATCH_SIZE = 12
 """Individuals that are evaluated together."""
 
 
@@ -129,7 +129,7 @@ def _of_recipe(recipe: Recipe) -> Problem:
 
 def _individuals(problem: Problem) -> np.ndarray:
     """Return individuals that keep the conditions of the genome."""
-    return problem.genome.random(np.random.default_rng(1), FEW)
+    return problem.genome.random(np.random.default_rng(1), BATCH_SIZE)
 
 
 def _require_equal(first: Evaluation, second: Evaluation, message: str, near: float = 1e-9) -> None:

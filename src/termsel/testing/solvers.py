@@ -26,7 +26,7 @@ GENEROUS = 10_000
 SEEDS = (1, 2, 3, 4)
 """Searches that must all find the optimum; few random searches do."""
 
-ENOUGH = 5000
+SEARCH_EVALUATIONS = 5000
 """Evaluations of each of these searches, for 4096 selections."""
 
 
@@ -282,7 +282,7 @@ def optimum_found(trial: Trial) -> None:
     for seed in SEEDS:
         result = trial.search_until(
             lambda progress: progress.violation == 0 and bool(np.isclose(progress.best, best)),
-            trial.problem(), seed=seed, evaluations=ENOUGH)
+            trial.problem(), seed=seed, evaluations=SEARCH_EVALUATIONS)
         require(np.isclose(result.objectives[0], best),
                 f"with seed {seed} and {result.evaluations} evaluations it finds "
                 f"{result.objectives[0]:.3f}, and the best is {best:.3f}; a solver that does not "

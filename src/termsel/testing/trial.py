@@ -18,7 +18,7 @@ from termsel.selection.solvers.ledger import Progress
 from termsel.selection.solvers.search import SearchResult, search
 from termsel.testing.problems import Counted
 
-FEW = 4
+GENERATIONS_CHECKED = 4
 """Generations checked if more would not show more."""
 
 
@@ -49,7 +49,7 @@ class Trial:
             return False
         return True
 
-    def few(self, problem: Problem, n: int = FEW) -> Iterator[Generation]:
+    def few(self, problem: Problem, n: int = GENERATIONS_CHECKED) -> Iterator[Generation]:
         """Yield the first generations of a search."""
         yield from islice(
             self.solver.generations(self.posed(problem), np.random.default_rng(1)), n)

@@ -7,7 +7,7 @@ from html import escape
 
 from termsel.core.errors import cut, printable
 
-_LONGEST = 160
+_MAX_VALUE_LENGTH = 160
 """Characters of a value."""
 
 
@@ -35,4 +35,4 @@ class Glance:
 
 
 def _value(text: str) -> str:
-    return printable(cut(text, _LONGEST), keep="")
+    return printable(cut(text, _MAX_VALUE_LENGTH), keep="")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 _NOTHING = "See previous exception for details"
 _FULL = ("No space left", "disk is full", "Disk quota exceeded", "database or disk is full")
-_LEAST = 1 << 20
+_FULL_DISK_BYTES = 1 << 20
 """Bytes of free space below which a disk is called full."""
 
 
@@ -48,6 +48,6 @@ def _is_full(path: Path) -> bool:
     folders = (path, *path.absolute().parents)
     folder = next((candidate for candidate in folders if candidate.is_dir()), None)
     try:
-        return folder is not None and shutil.disk_usage(folder).free < _LEAST
+        return folder is not None and shutil.disk_usage(folder).free < _FULL_DISK_BYTES
     except OSError:
         return False

@@ -49,7 +49,7 @@ _FILE_KEYS = re.compile(r"(DATASET|FILE|FILENAME|DEM|SOURCE|URL)$", re.IGNORECAS
 _LARGEST_XML = 32 << 20  # bytes of a virtual raster, which has about 100,000 sources then
 _DEEPEST = 16
 _MOST_READS = 10_000  # readings of sources by nested virtual rasters, which multiply
-_HEAD = 4096
+_HEAD_BYTES = 4096
 _TEXTS = (".xml", ".txt", ".rpb", ".imd", ".pvl", ".prj", ".wld", ".hdr", ".tfw", ".att", ".eph",
           ".geo", ".til", ".tab", ".points")
 """Endings of texts that GDAL reads next to a raster."""
@@ -125,7 +125,7 @@ def is_single_file(path: Path | str) -> bool:
         return False
     path = Path(path)
     with path.open("rb") as file:
-        if _is_virtual(file.read(_HEAD)):
+        if _is_virtual(file.read(_HEAD_BYTES)):
             return False
     # Overviews, masks and auxiliary files belong to a raster by their name alone.
     return not any(_near(path))
@@ -138,7 +138,7 @@ def may_name_more(path: str) -> bool:
     """
     try:
         with open(path, "rb") as file:
-            head = file.read(_HEAD)
+            head = file.read(_HEAD_BYTES)
             if head.startswith(_WITH_DOMAINS):
                 return True
             # Both byte orders of TIFF; any other plain format has no metadata that name files.
@@ -161,7 +161,7 @@ def refuse_named(path: Path | str, names: Iterator[str]) -> None:
 
 def foreign_format(head: bytes) -> str:
     """Return the driver of which a file seems to be by its first bytes; "" if none is known."""
-    return next((name for mark, name in _FOREIGN if mark.search(head[:_HEAD])), "")
+    return next((name for mark, name in _FOREIGN if mark.search(head[:_HEAD_BYTES])), "")
 
 
 def refused_format(path: object, head: bytes, of: object = None) -> TermselError:
@@ -267,7 +267,7 @@ class _Chain:
         self._require_neighbours(path, depth)
         try:
             with path.open("rb") as file:
-                head = file.read(_HEAD)
+                head = file.read(_HEAD_BYTES)
                 if not _is_virtual(head):
                     self._require_known(path, head)
                     self.plain.append(name)
@@ -333,10 +333,10 @@ class _Chain:
         content = _content(name, archive, member)
         if content is None:
             raise self.error(f"there is no raster {cut(name, 100)!r}", "Check the name.")
-        if _is_virtual(content[:_HEAD]):
+        if _is_virtual(content[:_HEAD_BYTES]):
             folder = str(PurePosixPath(name).parent)
             return self._of_text(self._decoded(content, name), folder, depth)
-        self._require_known(Path(member or archive.name), content[:_HEAD])
+        self._require_known(Path(member or archive.name), content[:_HEAD_BYTES])
         self.plain.append(name)
         return 1
 
@@ -375,7 +375,7 @@ class _Chain:
         except (ElementTree.ParseError, ValueError):
             raise self._not_plain() from None
         if expected and root.tag.casefold() != expected:
-            raise refused_format(self.start, text.encode()[:_HEAD])
+            raise refused_format(self.start, text.encode()[:_HEAD_BYTES])
         self._refuse_code(root)
         for element in root.iter():
             for stated in (element.text or "", *element.attrib.values()):
@@ -572,7 +572,7 @@ def _content(name: str, archive: Path, member: str) -> bytes | None:
             if len(names) != 1:
                 return None
             with packed.open(names[0]) as file:
-                head = file.read(_HEAD)
+                head = file.read(_HEAD_BYTES)
                 return head + file.read(_LARGEST_XML) if _is_virtual(head) else head
     except (OSError, EOFError, KeyError, ValueError, zlib.error, NotImplementedError, RuntimeError,
             tarfile.TarError, zipfile.BadZipFile):

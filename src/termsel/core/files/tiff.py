@@ -14,7 +14,7 @@ _METADATA = 42112
 """Tag of GDAL's metadata, which are XML."""
 
 _MOST_ENTRIES = 4096
-_LONGEST = 1 << 24  # bytes of metadata
+_MAX_METADATA = 1 << 24  # bytes of metadata
 
 
 @dataclass(frozen=True)
@@ -70,4 +70,4 @@ def _number(file: BinaryIO, offset: int, form: str) -> int:
 
 def _bytes(file: BinaryIO, offset: int, length: int) -> bytes:
     file.seek(offset)
-    return file.read(min(length, _LONGEST))
+    return file.read(min(length, _MAX_METADATA))

@@ -38,7 +38,7 @@ Transformation = Callable[[FloatArray], FloatArray]
 
 _GRIDS = 3  # that an error names
 _OF_EARTH = 0.01  # share by which ellipsoids of the Earth differ at most
-_NAMED = re.compile(r'\w+\s*\[\s*"([^"]{1,80})"')
+_QUOTED_NAME = re.compile(r'\w+\s*\[\s*"([^"]{1,80})"')
 _BODY = re.compile(r"(?:GCS_|D_)?([A-Za-z]+)")
 
 _CODE = re.compile(r"(?:urn:ogc:def:crs:)?(EPSG|OGC):(?:[\d.]*:)?(\w+)", re.IGNORECASE)
@@ -55,7 +55,7 @@ _WGS84_NAME = re.compile(r"(?:GCS[ _])?WGS[ _]?(?:19)?84", re.IGNORECASE)
 _UTM_NAME = re.compile(r"(?:WGS[ _]?(?:19)?84[ _]*/?[ _]*)?UTM[ _]*(?:zone[ _]*)?"
                        r"(?P<zone>\d{1,2})[ _]*(?P<side>[NS]|north|south)", re.IGNORECASE)
 _PROJ = re.compile(r"\+\w+(=\S+)?(\s+\+?\w+(=\S+)?)*")
-_NAME = re.compile(r"[A-Za-z][\w /().,+'-]{3,99}")
+_CRS_NAME = re.compile(r"[A-Za-z][\w /().,+'-]{3,99}")
 # Chains of steps are no CRS; a file that a text from elsewhere names is not opened.
 _NO_CRS = re.compile(r"\+?(proj=pipeline|init=|step\b)|grids=\S*[/\\]|\.\.", re.IGNORECASE)
 
@@ -122,7 +122,7 @@ def _named(text: str) -> str:
         return f"EPSG:32{hemisphere}{zone:02d}" if 1 <= zone <= 60 else ""
     if text.startswith("+") and _PROJ.fullmatch(text):
         return _of_proj(text)
-    return _of_listed_name(text) if _NAME.fullmatch(text) else ""
+    return _of_listed_name(text) if _CRS_NAME.fullmatch(text) else ""
 
 
 def _of_proj(text: str) -> str:
@@ -154,7 +154,7 @@ def _of_listed_name(text: str) -> str:
         return ""
     try:
         known = CRS.from_user_input(text)
-        esri = _NAMED.match(known.to_wkt("WKT1_ESRI"))
+        esri = _QUOTED_NAME.match(known.to_wkt("WKT1_ESRI"))
     except CRSError:
         return ""
     # PROJ takes a name that is near one for it: only the whole name counts.
@@ -401,7 +401,7 @@ def _missing_grids(source: CRS, target: CRS) -> tuple[str, ...]:
 
 def short(crs: str) -> str:
     """Return a CRS as messages name it: WKT is long, so they say the name in it."""
-    name = _NAMED.match(crs)
+    name = _QUOTED_NAME.match(crs)
     return name[1] if name else crs if len(crs) <= 40 else f"{crs[:40]}..."
 
 

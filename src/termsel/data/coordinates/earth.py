@@ -37,7 +37,7 @@ _UNLIKE = 0.2  # share of the image coordinates' variance that relief and distor
 _FLAT = 0.05  # ratio of the axes of what a matrix makes of a circle, below which nothing tells
 _WIDE = 20.0  # degrees that a scene may be wide
 _SENSOR = "sensor"  # column that names what took the image
-_BEYOND = 5.0  # degrees outside the area of a CRS at which features may still be
+_AREA_MARGIN = 5.0  # degrees outside the area of a CRS at which features may still be
 
 
 def place_of(features: FeatureSet) -> str:
@@ -218,7 +218,7 @@ def _misplaced(features: FeatureSet) -> bool:
     exchanged = degrees_of(features.crs, ground[:, [1, 0, 2]])
     # Scenes may reach beyond the area, so one that is near it is not outside.
     return exchanged is not None and _is_inside(exchanged, area, 0.0) \
-        and (as_they_stand is None or not _is_inside(as_they_stand, area, _BEYOND))
+        and (as_they_stand is None or not _is_inside(as_they_stand, area, _AREA_MARGIN))
 
 
 def _is_inside(position: tuple[float, float], area: tuple[float, float, float, float],

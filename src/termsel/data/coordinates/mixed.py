@@ -15,7 +15,7 @@ from termsel.data.coordinates.crs import UTM, normalise, transformation
 from termsel.data.coordinates.metres import is_in_degrees
 from termsel.data.features import BoolArray, FeatureSet, FloatArray
 
-FEWEST = 6
+MIN_AFFINE_POINTS = 6
 """Points from which on an affine image tells."""
 
 BETTER = 0.1
@@ -27,14 +27,14 @@ APART = 100_000.0
 MINUTES = 0.6
 """Decimals of a degree below which minutes typed as decimals stay."""
 
-NAMED = 5
+MAX_POINTS_NAMED = 5
 """Points that a note names."""
 
 
 def note_on_mixed(features: FeatureSet) -> str:
     """Return which coordinates look as if they were of another kind than the others; or ""."""
     points = features.points
-    if len(points) < FEWEST or not features.crs:
+    if len(points) < MIN_AFFINE_POINTS or not features.crs:
         return ""
     return _two_zones(features) or _minutes(features)
 

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from termsel.data.features import FeatureSet, FloatArray, IntArray
 
-ROUNDING = 1e-14
+AREA_ROUNDING = 1e-14
 """Twice the area of a triangle in a box of side 1 whose corners lie on one line. Large coordinates
 are rounded more."""
 
@@ -77,7 +77,7 @@ def hull(positions: FloatArray) -> list[int]:
     scaled = (positions - positions.mean(axis=0)) / size
     # Below this double area three corners count as one line: rounding of coordinates far from 0 is
     # larger, in units of the box.
-    rounding = max(ROUNDING, 8 * np.finfo(float).eps * float(np.abs(positions).max()) / size)
+    rounding = max(AREA_ROUNDING, 8 * np.finfo(float).eps * float(np.abs(positions).max()) / size)
     order = np.lexsort(scaled.T[::-1]).tolist()
     (x, y) = scaled.T.tolist()
     corners: list[int] = []

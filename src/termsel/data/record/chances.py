@@ -1,8 +1,8 @@
 """Chances and quantiles of the t and chi-squared distributions.
 
 Those of scipy.special take 0.2 s to import, which runs of few points need for nothing else. They
-are taken above FEW degrees of freedom. References: Abramowitz and Stegun 1964, Handbook of
-Mathematical Functions, 6.5.29 and 26.5.8.
+are taken above `MAX_SUMMED_FREEDOM` degrees of freedom. References: Abramowitz and Stegun 1964,
+Handbook of Mathematical Functions, 6.5.29 and 26.5.8.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from math import exp, lgamma, log, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-FEW = 1000
+MAX_SUMMED_FREEDOM = 1000
 """Most degrees of freedom of what is computed here."""
 
-EPS, NEAR = 1e-16, 1e-12
+EPS, QUANTILE_STEP = 1e-16, 1e-12
 """Parts of a sum, and a step to a quantile, that change nothing."""
 
 STEPS = 60
-"""Most secants to a quantile: rounding may keep the last ones from meeting NEAR."""
+"""Most secants to a quantile: rounding may keep the last ones from meeting `QUANTILE_STEP`."""
 
 
 def quantile(values: NDArray[np.float64], share: float) -> NDArray[np.float64]:
@@ -52,7 +52,7 @@ def median(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def chi_squared_quantile(share: float, freedom: float) -> float:
     """Return what a chi-squared number of so many degrees of freedom is below by that chance."""
-    if freedom > FEW:
+    if freedom > MAX_SUMMED_FREEDOM:
         from scipy.special import chdtri
 
         return float(chdtri(freedom, 1 - share))
@@ -81,7 +81,7 @@ def t_quantile(share: float, freedom: float) -> float:
 
     It is above one half.
     """
-    if freedom > FEW:
+    if freedom > MAX_SUMMED_FREEDOM:
         from scipy.special import stdtrit
 
         return float(stdtrit(freedom, share))
@@ -90,7 +90,7 @@ def t_quantile(share: float, freedom: float) -> float:
 
 def t_beyond(t: float, freedom: float) -> float:
     """Return the chance of a larger |t|."""
-    if freedom > FEW:
+    if freedom > MAX_SUMMED_FREEDOM:
         from scipy.special import stdtr
 
         return float(2 * stdtr(freedom, -t))
@@ -111,7 +111,7 @@ def _beta(x: float, complement: float, a: float, b: float) -> float:
     m = 0
     value = below / a * exp(
         a * log(x) + b * log(complement) + lgamma(a + b) - lgamma(a) - lgamma(b))
-    while abs(change - 1) > NEAR:  # by the method of Lentz
+    while abs(change - 1) > QUANTILE_STEP:  # by the method of Lentz
         m += 1
         # The even and the odd coefficient of the continued fraction (26.5.8).
         for numerator in (m * (b - m) / (a + 2 * m - 1), -(a + m) * (a + b + m) / (a + 2 * m + 1)):
@@ -128,7 +128,7 @@ def _where(rising: Callable[[float], float], value: float, x: float) -> float:
     y = rising(x)
     after = 1.01 * x
     for _ in range(STEPS):
-        if abs(after - x) <= NEAR * x or (z := rising(after)) == y:
+        if abs(after - x) <= QUANTILE_STEP * x or (z := rising(after)) == y:
             break
         # The secant's zero; a positive number, so no step goes down to less than a tenth.
         secant = max(after + (value - z) * (after - x) / (z - y), after / 10)

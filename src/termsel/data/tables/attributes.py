@@ -22,7 +22,7 @@ Attributes = Mapping[str, TextArray]
 _UNKNOWN = frozenset({"None", "nan", "NaT", "<NA>"})
 """How Python, numpy and pandas write what is not known."""
 
-LONGEST = 10_000
+MAX_TEXT = 10_000
 """Characters of a text; Python's reader of tables takes no cells of more than 131,072."""
 
 
@@ -69,7 +69,7 @@ def text_array(cells: Sequence[str]) -> TextArray:
 def _cell(value: Any) -> str:
     if not isinstance(value, str) and str(value) in _UNKNOWN:
         return ""
-    return cut(printable(str(value).replace("\r\n", "\n")).strip(), LONGEST)
+    return cut(printable(str(value).replace("\r\n", "\n")).strip(), MAX_TEXT)
 
 
 def rows_at(attributes: Attributes, index: NDArray[Any] | slice) -> Attributes:

@@ -24,7 +24,7 @@ _COLUMNS = {
     "enabled": ("enable", "enabled"),
 }
 _SMALL = 20.0  # px; no image to be georeferenced has all its points within so few
-_FAR = 10.0  # times their extent: points of an image lie about as far from its corner as apart
+_MAX_EXTENTS = 10.0  # points of an image lie about as far from its corner as apart
 
 
 class QgisPoints(TableReader):
@@ -80,7 +80,7 @@ def _refuse_layer(table: Table, source: FloatArray) -> None:
     """Refuse sources that are not pixels, such as those of a georeferenced raster."""
     with np.errstate(over="ignore"):  # Points refuses numbers that are so large
         extent = np.ptp(source, axis=0)
-        far = np.abs(source).min(axis=0) > _FAR * np.maximum(extent, _SMALL)
+        far = np.abs(source).min(axis=0) > _MAX_EXTENTS * np.maximum(extent, _SMALL)
     # Rows of pixels are negative in these files.
     upwards = (source[:, 1] > 0).mean() > 0.5
     if (upwards or (len(source) > 1 and (extent < _SMALL).all())

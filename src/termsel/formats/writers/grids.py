@@ -31,7 +31,7 @@ log = logging.getLogger(__name__)
 
 _COMPARED = 50  # meshes along either side at whose middles a grid is compared with the model
 
-_GROUND = (
+_GROUND_OPTIONS = (
     Option("dem", None, "Raster of heights for the ground of the grid."),
     Option("height", None, "Height of the ground if no raster is given; by default that of the "
                            "middle of the control.", float, -1e6, 1e6))
@@ -100,7 +100,8 @@ class GcpGridVrt(GridWriter):
              "for a VRT that has pixels")
     suffix = "_grid.vrt"
     declared_options: ClassVar[tuple[Option, ...]] = (
-        IMAGE, *_GROUND, Option("across", 20, "Meshes along each side of the image.", int, 1, 60))
+        IMAGE, *_GROUND_OPTIONS,
+        Option("across", 20, "Meshes along each side of the image.", int, 1, 60))
 
     def write(self, result: Result, path: Path) -> None:
         """Write a VRT with a list of GCPs, of at least three places that have ground."""
@@ -135,7 +136,7 @@ class GeolocationVrt(GridWriter):
     needs = GcpGridVrt.needs + "; rasterio (termsel[gis])"
     suffix = "_geolocation.vrt"
     declared_options: ClassVar[tuple[Option, ...]] = (
-        IMAGE, *_GROUND,
+        IMAGE, *_GROUND_OPTIONS,
         Option("step", None, "Spacing of the array [px]; by default about 500 nodes along the "
                              "longer side.", int, 1, COUNT))
 

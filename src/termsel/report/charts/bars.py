@@ -30,7 +30,7 @@ WORST = 25
 """Features that the chart of the worst residuals shows."""
 ROW = 18
 """Height of a row [px of the screen]."""
-FAILED = 30.0
+HOPELESS_RATIO = 30.0
 """Times the median RMSE of all fits, beyond which one is left out of their chart."""
 FLATTENED = 12.0
 """Times the median bar; a longer one would flatten the others, and is broken."""
@@ -145,7 +145,7 @@ def shown_fits(view: View) -> tuple[list[Row], dict[str, float]]:
     rows = fit_rows(view)
     errors = _rmse_of(rows)
     # A fit that failed would leave the others no room on the axis.
-    longest = FAILED * float(np.median(list(errors.values())))
+    longest = HOPELESS_RATIO * float(np.median(list(errors.values())))
     failed = {fit: error for fit, error in errors.items() if error > longest and fit != THIS}
     return [row for row in rows if row["fit"] not in failed], failed
 

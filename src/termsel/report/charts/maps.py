@@ -25,9 +25,9 @@ from termsel.report.view import Row, View, nice
 
 LENGTH = 0.06
 """Of the median vector, in widths of the map."""
-MARGIN = 0.04
+MAP_MARGIN = 0.04
 """Drawn around the image, in widths of it."""
-ROUNDING = 1e-9
+VECTOR_ROUNDING = 1e-9
 """Median vector, in widths of the map, up to which residuals are rounding and not exaggerated."""
 
 
@@ -49,7 +49,7 @@ def image_map(view: View, image: str = "", rows: list[Row] | None = None,
     top, left_sample, bottom, right_sample = view.image_box
     wide = max(right_sample - left_sample, 1.0)
     high = max(bottom - top, 1.0)
-    margin = MARGIN * max(wide, high)
+    margin = MAP_MARGIN * max(wide, high)
     rows = view.in_image if rows is None else rows
     x = alt.X("sample:Q", title="sample [px]", axis=alt.Axis(grid=False, tickCount=6),
               scale=alt.Scale(domain=[left_sample - margin, right_sample + margin], nice=False,
@@ -87,7 +87,7 @@ def ground_map(view: View) -> Any:
     wide = max(east - west, 1e-9)
     tall = max(north - south, 1e-9)
     # A degree of longitude is shorter than one of latitude: lengths on the map are in units of y.
-    margin = MARGIN * max(wide * view.flattening, tall)
+    margin = MAP_MARGIN * max(wide * view.flattening, tall)
     across = margin / view.flattening
     of_x, of_y = _axes(view)
     x = alt.X("x:Q", title=of_x, axis=alt.Axis(grid=False, tickCount=5),
@@ -253,4 +253,4 @@ def _colour(view: View, rows: list[Row]) -> Any:
 def _exaggeration(lengths: list[float], wide: float) -> float:
     # The median, as a blunder would make all others invisible.
     median = float(np.median(lengths)) if lengths else 0.0
-    return nice(LENGTH * wide / median) if median > ROUNDING * wide else 1.0
+    return nice(LENGTH * wide / median) if median > VECTOR_ROUNDING * wide else 1.0

@@ -24,7 +24,7 @@ from termsel.report.theme import (
 )
 from termsel.report.view import Row, View
 
-MOST = 400
+MAX_GENERATIONS_SHOWN = 400
 """Generations that a chart shows: of a longer search, those evenly spaced."""
 AREAS = 4000
 """Most corners of the areas of empires."""
@@ -95,7 +95,7 @@ def _recommended(view: View) -> int:
 def convergence(view: View) -> Any:
     """Return the best and the median of the population, and what share of it is infeasible."""
     alt = require_altair()
-    history = spaced(view.record.history, MOST)
+    history = spaced(view.record.history, MAX_GENERATIONS_SHOWN)
     criterion = view.record.criterion
     lines: list[Row] = []
     for generation in history:

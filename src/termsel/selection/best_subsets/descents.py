@@ -16,7 +16,7 @@ _RESTARTS = 8  # of the descent
 _KICKS = 16  # restarts around the best that may fail in a row
 _SWAPPED = (2, 5)  # columns before each of these, at least and at most
 _WORTH = 1 << 15  # subsets that branch and bound decides in the time of one node of a descent
-_ROUNDING = 1e-9  # a subset reached in another order differs by less
+_ORDER_ROUNDING = 1e-9  # a subset reached in another order differs by less
 
 
 def descents(systems: ScoreSystems) -> Iterator[tuple[FloatArray, Masks]]:
@@ -49,7 +49,7 @@ def descents(systems: ScoreSystems) -> Iterator[tuple[FloatArray, Masks]]:
         start_columns = [candidates[start] for start in starts]
         reached, reached_masks, walked_nodes = _descent(systems, start_columns)
         nodes += walked_nodes
-        failures[reached < (1.0 - _ROUNDING) * best] = 0
+        failures[reached < (1.0 - _ORDER_ROUNDING) * best] = 0
         best, masks = better(best, masks, reached, reached_masks)
         yield best, masks
 

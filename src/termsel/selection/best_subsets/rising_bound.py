@@ -24,7 +24,7 @@ _SHARES = {LINEAR: (0.5, 0.7, 0.9, 0.991), RATIONAL: (0.3,)}
 proof: with denominators the time grows with the limit, without them most is spent on the last
 per cent and on sizes that do not hold the optimum."""
 
-_LARGEST = 1 << 40  # subsets up to which a rung ends within minutes
+_MAX_RUNG_SUBSETS = 1 << 40  # subsets up to which a rung ends within minutes
 _NODES_IN_PROGRESS = 16  # at once, whatever the number of workers
 _STATE = 64  # nodes between two states: a second or so
 
@@ -39,7 +39,7 @@ def rising_bounds(systems: ScoreSystems, best: FloatArray, masks: Masks, node_su
     lower_bound = 0.0
     root = systems.everything
     shares: tuple[float, ...] = ()
-    if systems.branches and root.count <= _LARGEST:
+    if systems.branches and root.count <= _MAX_RUNG_SUBSETS:
         shares = _SHARES.get(systems.kind, ())
     pool = ThreadPoolExecutor(workers)
     pending: deque[Future[NodeResult]] = deque()

@@ -19,7 +19,7 @@ from termsel.selection.best_subsets.bounds.held_out import least_held_out
 from termsel.selection.best_subsets.bounds.poles import node_bound
 from termsel.selection.best_subsets.bounds.residuals import branch_residuals
 from termsel.selection.best_subsets.bounds.shares import largest_shares
-from termsel.selection.best_subsets.bounds.trees import ROUNDING, Tree, tree_of
+from termsel.selection.best_subsets.bounds.trees import BOUND_ROUNDING, Tree, tree_of
 from termsel.selection.best_subsets.columns.arrays import (
     CheckSpace,
     Limits,
@@ -53,7 +53,7 @@ PROGRAMMED = 1 << 24
 
 _ENUMERATED = 300  # subsets that cost less than bounds of their residuals
 _PROGRAMS = 100  # most check points with linear programs: each takes one, of all points
-_HALVINGS = 7  # of the interval in which a bound lies: less than a per cent of the RMSE is left
+_BOUND_HALVINGS = 7  # of the interval in which a bound lies: less than a per cent is left
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,7 +240,7 @@ class ScoreSystems:
         best_of_sizes = best[smallest:smallest + min(node.room, len(node.candidates)) + 1]
         limit = float(best_of_sizes[np.isfinite(best_of_sizes)].max(initial=0.0))
         bound = node_bound(self._tree(node)[0], 0, limit)
-        return bound * (1.0 - ROUNDING) - self._slack
+        return bound * (1.0 - BOUND_ROUNDING) - self._slack
 
     def _descendants_bound(self, node: SubtreeNode, vectors: Vectors, limits: Limits,
                            incumbent: float) -> float:
@@ -264,7 +264,7 @@ class ScoreSystems:
         low = node.lower_bound
         high = incumbent
         # Halved by its root, which is an RMSE but for a factor.
-        for _ in range(_HALVINGS):
+        for _ in range(_BOUND_HALVINGS):
             middle = ((low**0.5 + high**0.5) / 2)**2
             if all_score_more(middle):
                 low = middle

@@ -16,7 +16,7 @@ from termsel.selection.problems.genome import Genome
 from termsel.selection.problems.segments import AnySegment, Categories, Genes, Integers, Reals
 from termsel.selection.problems.selection import SelectionProblem
 
-_KEPT = 500
+_MAX_CACHED = 500
 
 
 class ParameterProblem(Problem):
@@ -98,7 +98,7 @@ class ParameterProblem(Problem):
         key = genes.tobytes()
         if key not in self._known:
             # Each holds the equations of its model: they are made again rather than kept for ever.
-            if len(self._known) >= _KEPT:
+            if len(self._known) >= _MAX_CACHED:
                 self._known.clear()
             model = self.inputs.model.with_parameters(self._values(genes))
             if self._selects_terms:

@@ -82,7 +82,7 @@ MASK = Option("mask", "per-axis", "Whether line and sample select their terms se
               "together.", choices=("per-axis", "shared"))
 MIXED = Option("mixed", False, "Use control points and control lines together in one adjustment.",
                bool)
-COUNTS = (
+COUNT_OPTIONS = (
     Option("min_features", None, "Fewest control features of a selection; by default not limited.",
            int, 1, COUNT),
     Option("max_features", None, "Most control features of a selection; by default not limited. "
@@ -123,8 +123,8 @@ CAP = next(option for option in TERM_OPTIONS if option.name == "max_share")
 # What problems of terms, with or without features, have in common.
 _BOTH = (MASK, MIXED, *TERM_OPTIONS, OBJECTIVES)
 OF_TERMS = (*_BOTH, RECOMMEND_TERMS)
-OF_FEATURES = (TERMS, MIXED, *COUNTS, *FORCE_OPTIONS, OBJECTIVES, RECOMMEND, BLUNDERS)
-OF_BOTH = (*_BOTH, RECOMMEND, *COUNTS, STEPS, THEN, BLUNDERS)
+OF_FEATURES = (TERMS, MIXED, *COUNT_OPTIONS, *FORCE_OPTIONS, OBJECTIVES, RECOMMEND, BLUNDERS)
+OF_BOTH = (*_BOTH, RECOMMEND, *COUNT_OPTIONS, STEPS, THEN, BLUNDERS)
 
 
 def feature_options(**defaults: Any) -> tuple[Option, ...]:
@@ -206,7 +206,8 @@ def select_both(inputs: ProblemData) -> Problem:
     return SelectionProblem(inputs, terms=True, features=True, mask=inputs.options["mask"])
 
 
-_ALSO = (*TERM_OPTIONS, MIXED, OBJECTIVES, RECOMMEND_TERMS, TERMS, *COUNTS, STEPS, THEN, BLUNDERS)
+_ALSO = (*TERM_OPTIONS, MIXED, OBJECTIVES, RECOMMEND_TERMS, TERMS, *COUNT_OPTIONS, STEPS, THEN,
+         BLUNDERS)
 
 
 def undeclared_options(recipe: Recipe) -> tuple[Option, ...]:

@@ -21,14 +21,14 @@ IDLE = 1000
 """Generations in a row without an evaluation that end a search, such as those of a loop that breeds
 nothing."""
 
-TOLERANCE = 1e-4
+MIN_GAIN = 1e-4
 """Least gain that counts for `Patience`, relative to the objective."""
 
 SEARCH_OPTIONS = (
     Option("polish", None, "Local refinement after any solver, with three quarters of the budget: "
            "genes are added, dropped and swapped as long as that helps. By default on where a "
            "problem runs with its own solver, off where --solver names one.", bool),
-    Option("tolerance", TOLERANCE, "Least gain that counts for --patience, relative to the "
+    Option("tolerance", MIN_GAIN, "Least gain that counts for --patience, relative to the "
            "objective.", float, 0.0, 1.0),
 )
 """Options of every search, whatever its solver."""

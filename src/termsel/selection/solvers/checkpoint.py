@@ -33,7 +33,7 @@ log = logging.getLogger(__name__)
 
 SCHEMA = "termsel-checkpoint-1"
 
-_EVERY = 0.5  # seconds between two writes
+_WRITE_SECONDS = 0.5  # seconds between two writes
 
 _TOLERANCE = 1e-6
 """Relative difference of two evaluations of one selection that may be rounding."""
@@ -204,7 +204,7 @@ class Stage:
         self._unwritten.append(_Line(self._number, _digest(keys), values.tobytes(),
                                      now - self._start))
         # A search may make hundreds of populations a second.
-        if now - self._written > _EVERY:
+        if now - self._written > _WRITE_SECONDS:
             self.write()
 
     def write(self) -> None:

@@ -25,7 +25,7 @@ from termsel.selection.solvers.bridges.silence import heard
 from termsel.selection.solvers.budget import (
     EVALUATIONS,
     IDLE,
-    TOLERANCE,
+    MIN_GAIN,
     Budget,
     Patience,
     require_limits,
@@ -137,7 +137,7 @@ def search(
     evaluations: int | None = None,
     seconds: float | None = None,
     patience: int | None = None,
-    tolerance: float = TOLERANCE,
+    tolerance: float = MIN_GAIN,
     polish: bool = False,
     observers: Iterable[Observer] = (),
     checkpoint: Checkpoint | Path | str | None = None,

@@ -18,7 +18,7 @@ from termsel.studies.cells.cell import Cell
 from termsel.studies.cells.journal import read_journal
 from termsel.studies.cells.table import LABELS
 from termsel.studies.execution.progress import StudyProgress, Tally
-from termsel.studies.plan.spec import FILES, PARTS, READING, PartSpec, Source, Spec, spec_of
+from termsel.studies.plan.spec import FILE_KEYS, PARTS, READING, PartSpec, Source, Spec, spec_of
 from termsel.studies.study import Study
 
 PLAN = "plan.json"
@@ -126,6 +126,6 @@ def _written(source: Source) -> dict[str, Any]:
     if source.dataset is not None:
         return {"dataset": source.dataset}
     options = {key: value for key, value in source.reading.items() if key not in READING}
-    return {**{kind: source.files[kind] for kind in FILES if kind in source.files},
+    return {**{kind: source.files[kind] for kind in FILE_KEYS if kind in source.files},
             **{key: source.reading[key] for key in READING if key in source.reading},
             **({"options": options} if options else {})}

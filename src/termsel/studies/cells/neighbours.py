@@ -15,7 +15,7 @@ from termsel.core.errors import counted, first_of
 from termsel.data.coordinates.earth import degrees_of, in_words, is_mirrored, swapped
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray
 
-MOST = 2 / 3
+MAJORITY_SHARE = 2 / 3
 """Share of the images from which on they are those that the others are held against."""
 
 NEAREST, FARTHEST = 1.0, 20.0
@@ -97,7 +97,7 @@ def _elsewhere(settings: Mapping[str, Mapping[str, Any]]) -> list[tuple[str, dic
     usual = max(groups, key=lambda group: count[group].sum())
     number = int(count[usual].sum())
     # Without a clear majority there is no place that the others should be at.
-    if number < 2 or number < MOST * len(names):
+    if number < 2 or number < MAJORITY_SHARE * len(names):
         return []
     middle = in_words(_middle(positions[usual]))
     sentences = []
@@ -137,7 +137,7 @@ def _mirrored(settings: Mapping[str, Mapping[str, Any]]) -> list[tuple[str, dict
     usual = sum(is_mirrored_image.values()) * 2 > len(is_mirrored_image)
     odd = [name for name, mirrored in is_mirrored_image.items() if mirrored != usual]
     usual_count = len(is_mirrored_image) - len(odd)
-    if not odd or usual_count < 2 or usual_count < MOST * len(is_mirrored_image):
+    if not odd or usual_count < 2 or usual_count < MAJORITY_SHARE * len(is_mirrored_image):
         return []
     verb = "is a mirror image" if len(odd) == 1 else "are mirror images"
     negated = verb.replace("is a", "is no").replace("are ", "are no ")

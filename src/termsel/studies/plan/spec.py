@@ -20,15 +20,15 @@ from termsel.studies.plan.places import Places, places_of
 PARTS = ("problems", "models", "solvers", "criteria", "methods")
 KEYS = ("title", *PARTS, "strategies", "data", "seeds", "splits", "budget", "options", "exports",
         "measure", "measures", "accept")
-FILES = ("points", "lines", "areas", "rpc")
+FILE_KEYS = ("points", "lines", "areas", "rpc")
 READING = ("crs", "format", "dem", "columns")
-DATA_KEYS = ("dataset", *FILES, *READING, "options")
+DATA_KEYS = ("dataset", *FILE_KEYS, *READING, "options")
 BUDGETS = {"evaluations": int, "generations": int, "patience": int, "seconds": float,
            "timeout": float}
 STRATEGIES = ("auto", "as-asked")
 MEASURES = ("fitness", "check", "independent")
 
-_LONGEST = 200  # characters of a label: charts have no room for more
+_MAX_LABEL_LENGTH = 200  # characters of a label: charts have no room for more
 
 
 @dataclass(frozen=True)
@@ -159,9 +159,9 @@ def _parts(at: Places, kind: str, listed: Any) -> tuple[PartSpec, ...]:
     for i, item in enumerate(listed):
         path: Keys = (kind, i)
         component = _part(at, path, item)
-        if len(component.label) > _LONGEST or not is_printable(component.label):
+        if len(component.label) > _MAX_LABEL_LENGTH or not is_printable(component.label):
             raise at.error(path, f"the label {component.label!r:.60} has control characters, or "
-                           f"more than {_LONGEST}", "Give a short label of plain text.")
+                           f"more than {_MAX_LABEL_LENGTH}", "Give a short label of plain text.")
         if any(earlier.label == component.label for earlier in components):
             raise at.error(path, f"{kind} has {component.label!r} twice",
                            'Give each its own label: {name = "...", label = "..."}.')
@@ -220,7 +220,7 @@ def _sources(at: Places, listed: Any) -> list[Source]:
         for key in item:
             if key not in DATA_KEYS:
                 raise at.unknown((*path, key), "key of data", DATA_KEYS)
-        files = {kind: _texts(at, (*path, kind), item[kind]) for kind in FILES if kind in item}
+        files = {kind: _texts(at, (*path, kind), item[kind]) for kind in FILE_KEYS if kind in item}
         if ("dataset" in item) == bool(files):
             raise at.error(path, "data are either a dataset or files",
                            'Write dataset = "name", or points = "*.csv".')

@@ -38,10 +38,10 @@ from termsel.selection.best_subsets.columns.arrays import BoundSpace
 
 _compiled = partial(compiled, _nrt=False, fastmath={"reassoc", "contract", "arcp", "nsz"})
 
-_STEPS = 8  # of tau and U; each costs as much as a test
-_GAIN = 0.9  # a step that lowers no limit to this share is the last
+_DUAL_STEPS = 8  # of tau and U; each costs as much as a test
+_LIMIT_GAIN = 0.9  # a step that lowers no limit to this share is the last
 _PIVOT = 1e-8  # least pivot of the quadratic, relative to its diagonal
-_ROUNDING = 1e-6  # of what is 1 at the limit; errors are below 1e-14 / pivot
+_LIMIT_ROUNDING = 1e-6  # of what is 1 at the limit; errors are below 1e-14 / pivot
 _SPHERE, _SCALE = 0.15, 0.1  # weights of facts 3 and 1; the rest is of fact 4
 
 
@@ -78,7 +78,7 @@ def first_closed(top: FloatArray, extra: FloatArray, first: int, n: int, limit: 
             # Fact 2 halves the target: 1/2 in products with it, 1/4 in its own.
             gram[i, j] = 4.0 / square * total * (1.0 if j > 0 else 0.5 if i > 0 else 0.25)
     closed = 0  # last columns of which no subset scores that little
-    for _ in range(_STEPS):
+    for _ in range(_DUAL_STEPS):
         tau = upper[c]
         sphere = _SPHERE / (tau * tau)
         scale = _SCALE / (tau * tau)
@@ -125,7 +125,7 @@ def first_closed(top: FloatArray, extra: FloatArray, first: int, n: int, limit: 
             triangle[i, i] = np.sqrt(pivot)
             h[i] = total / triangle[i, i]
             minimum += h[i] * h[i]  # its inverse
-            if minimum < 1.0 - _ROUNDING and i > closed:
+            if minimum < 1.0 - _LIMIT_ROUNDING and i > closed:
                 closed = i
         if failed or closed == count - 1 or not rational:
             return n - closed
@@ -169,14 +169,15 @@ def _lowered(extra: FloatArray, n: int, count: int, upper: FloatArray, inverse: 
             along_h[k] += rows[i, k] * h[i]
             length[k] += rows[i, k] * rows[i, k]
     # Rounding may make either factor a little negative; limits are a little too high instead.
-    radius = max(0.0, 1.0 - 1.0 / inverse) + _ROUNDING
+    radius = max(0.0, 1.0 - 1.0 / inverse) + _LIMIT_ROUNDING
     gained = 0
     for k in range(c + 1):
-        across_h = max(0.0, length[k] - along_h[k] * along_h[k] / inverse) + _ROUNDING * length[k]
+        across_h = max(0.0, length[k] - along_h[k] * along_h[k] / inverse) \
+            + _LIMIT_ROUNDING * length[k]
         largest = along_h[k] / inverse + np.sqrt(radius * across_h)
         if largest < 0.0:
             return -1
-        if largest < _GAIN * upper[k]:
+        if largest < _LIMIT_GAIN * upper[k]:
             gained = 1
         upper[k] = min(upper[k], largest)
     return gained

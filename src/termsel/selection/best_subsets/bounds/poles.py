@@ -24,8 +24,8 @@ import numpy as np
 
 from termsel.adjustment.compiled import compiled
 from termsel.selection.best_subsets.bounds.trees import (
+    BOUND_ROUNDING,
     DEPENDENT,
-    ROUNDING,
     Tree,
     eliminate,
     square,
@@ -34,9 +34,9 @@ from termsel.selection.best_subsets.bounds.trees import (
 
 _compiled = partial(compiled, fastmath={"reassoc", "contract", "arcp", "nsz"})
 
-_ROUNDS = 3  # of guard points added at a node, at most
+_GUARD_ROUNDS = 3  # of guard points added at a node, at most
 _SWEEPS = 4  # over the weights after each
-_GAIN = 0.02  # a round that raises the bound by less than this share of the limit is the last
+_BOUND_GAIN = 0.02  # a round that raises the bound by less than this share of the limit is the last
 
 
 @_compiled
@@ -67,7 +67,7 @@ def node_bound(tree: Tree, d: int, limit: float) -> float:
             tree.shifted[i] += weight[d, a] * W[a, i]
     bound = tree.rss[d]
     before = 0.0
-    for step in range(_ROUNDS):
+    for step in range(_GUARD_ROUNDS):
         for _ in range(_SWEEPS):
             gained = 0.0
             for a in range(m):
@@ -93,8 +93,8 @@ def node_bound(tree: Tree, d: int, limit: float) -> float:
         for i in range(n):
             shift = tree.shifted[i] - q[d, 0, i]
             bound -= shift * shift
-        if (bound > limit or step == _ROUNDS - 1 or len(tree.required) == 0
-                or (step > 0 and bound < before + _GAIN * limit)):
+        if (bound > limit or step == _GUARD_ROUNDS - 1 or len(tree.required) == 0
+                or (step > 0 and bound < before + _BOUND_GAIN * limit)):
             break
         before = bound
         # The guard point that the minimum violates most is next to get a weight.
@@ -211,7 +211,7 @@ def order_columns(tree: Tree, d: int, bound: float) -> None:
                 for t in range(i, n):
                     b += inverse[i, t] * (tree.shifted[t] if j == 0 else tree.target[d, j, t])
                 gain += b * b
-            value += gain / length * (1.0 - ROUNDING)
+            value += gain / length * (1.0 - BOUND_ROUNDING)
         x = count  # insertion into the sorted columns
         while x > 0 and tree.bound[d, x - 1] < value:
             tree.bound[d, x] = tree.bound[d, x - 1]

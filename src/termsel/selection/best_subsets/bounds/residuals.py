@@ -18,7 +18,13 @@ import numpy as np
 from termsel.adjustment.compiled import compiled
 from termsel.data.features import IntArray
 from termsel.selection.best_subsets.bounds.poles import node_bound, order_columns
-from termsel.selection.best_subsets.bounds.trees import ROUNDING, Tree, eliminate, square, write
+from termsel.selection.best_subsets.bounds.trees import (
+    BOUND_ROUNDING,
+    Tree,
+    eliminate,
+    square,
+    write,
+)
 from termsel.selection.best_subsets.columns.arrays import Limits, Records, Vectors, WalkPosition
 from termsel.selection.best_subsets.columns.kernels import RSS, walk
 
@@ -50,13 +56,13 @@ def branch_residuals(tree: Tree, limits: Limits, records: Records, counts: IntAr
             limit = 0.0
             for size in range(p, largest + 1):
                 limit = max(limit, best[size])
-            bound = node_bound(tree, depth, limit * (1.0 + ROUNDING) + limits.slack)
+            bound = node_bound(tree, depth, limit * (1.0 + BOUND_ROUNDING) + limits.slack)
             if not bound < np.inf:  # columns in use depend on each other
                 enumerated += counts[n - p, min(max_size - p, n - p)]
                 depth -= 1
                 continue
             # Larger subsets have lower residuals: the largest sizes are the first to be closed.
-            bound = bound * (1.0 - ROUNDING) - limits.slack
+            bound = bound * (1.0 - BOUND_ROUNDING) - limits.slack
             while largest >= p and bound > best[largest]:
                 largest -= 1
             if largest < p:

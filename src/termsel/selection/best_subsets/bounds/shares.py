@@ -7,7 +7,7 @@ import numpy as np
 from termsel.data.features import FloatArray
 
 _TOLERANCE = 1e-9  # of the linear programs
-_ROUNDING = 1e-4  # of their maxima, relative: some 1e-6 where columns are nearly dependent
+_MAXIMUM_ROUNDING = 1e-4  # of their maxima, relative: some 1e-6 where columns are nearly dependent
 
 
 def largest_shares(denominators: FloatArray, guard: FloatArray, margin: float) -> FloatArray:
@@ -39,7 +39,7 @@ def largest_shares(denominators: FloatArray, guard: FloatArray, margin: float) -
     rows /= np.abs(rows).max(axis=0)  # the tolerances are absolute
     sums = rows[:c].sum(axis=0)
     lowest = rows.copy()
-    lowest[:, 0] -= margin * (1.0 - _ROUNDING)
+    lowest[:, 0] -= margin * (1.0 - _MAXIMUM_ROUNDING)
     largest = np.append(np.ones(c), 1.0 / (margin * c))
     # Of each check point, then t itself: the maximum over all b that keep every denominator at the
     # margin or above, where t times the sum of the check points' denominators is 1.
@@ -49,5 +49,5 @@ def largest_shares(denominators: FloatArray, guard: FloatArray, margin: float) -
                         options={"primal_feasibility_tolerance": _TOLERANCE,
                                  "dual_feasibility_tolerance": _TOLERANCE})
         if optimum.status == 0:
-            largest[i] = min(largest[i], -optimum.fun * (1.0 + _ROUNDING))
+            largest[i] = min(largest[i], -optimum.fun * (1.0 + _MAXIMUM_ROUNDING))
     return largest

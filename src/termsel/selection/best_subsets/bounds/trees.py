@@ -14,7 +14,7 @@ from termsel.data.features import FloatArray
 _compiled = partial(compiled, fastmath={"reassoc", "contract", "arcp", "nsz"})
 
 DEPENDENT = 1e-7  # part of its length that a column keeps, below which weights are left at zero
-ROUNDING = 1e-6  # of bounds, relative; they are accurate to 1e-16 / DEPENDENT
+BOUND_ROUNDING = 1e-6  # of bounds, relative; they are accurate to 1e-16 / DEPENDENT
 _POINTS = 12  # guard points with a weight at once, at most
 
 
@@ -87,7 +87,8 @@ def tree_of(control: FloatArray, guard: FloatArray, lengths: FloatArray, margin:
     in_use[0] = used
     floors = np.full((1, k + 1), TOLERANCE**2)
     required = margin + guard[k]
-    required -= ROUNDING * (1.0 + abs(required))  # those that a rounding error keeps out may pass
+    # Those that a rounding error keeps out may pass.
+    required -= BOUND_ROUNDING * (1.0 + abs(required))
     point, order = (np.zeros((depths, n), dtype=np.intp) for n in (_POINTS, k + 1))
     bound, ceiling = np.zeros((2, depths, k + 1))
     shifted, b = np.zeros((2, k))

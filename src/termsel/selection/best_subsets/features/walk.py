@@ -10,7 +10,7 @@ Error of a score: with u = 1.1e-16 and the condition of N at most 1e5 where prod
 be carried, h has an absolute error of about 1e5 k u and q of 1e10 k u, in units in which N is that
 of the check points; y'y begins below 1e6 times the least possible squared error. That makes some
 1e-5 of it. Rows only enter, so nothing grows from there. Of a score by Cholesky the relative
-error is about k u times the condition, which is at most 1e9. `MARGIN` is above both.
+error is about k u times the condition, which is at most 1e9. `SQUARES_MARGIN` is above both.
 """
 
 from __future__ import annotations
@@ -36,17 +36,17 @@ from termsel.selection.best_subsets.features.arrays import (
 from termsel.selection.best_subsets.features.kernels import walk
 
 _WORD = 64
-_WORDS = 2  # of which a mask consists
+_MASK_WORDS = 2  # of which a mask consists
 
-MOST = _WORD * _WORDS
+MAX_WALK_FEATURES = _WORD * _MASK_WORDS
 """Features of a walk."""
 
-MARGIN = 1e-4
+SQUARES_MARGIN = 1e-4
 """Of squared errors: selections that much above the best of their size remain."""
 
 _PIECE = 1 << 17  # selections walked between two checks for interruption: some milliseconds
 _EVALUATED = 1 << 12  # the same, where each is evaluated
-_DETERMINED = 1e-6  # least ratio of the check points' singular values for scores to be trusted
+_MIN_SINGULAR_RATIO = 1e-6  # of the check points' singular values, for scores to be trusted
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +67,7 @@ class RowSystem:
         if len(self.check_design) < self.check_design.shape[1]:
             return False
         values = np.linalg.svd(self.check_design, compute_uv=False)
-        return bool(values[-1] > _DETERMINED * values[0])
+        return bool(values[-1] > _MIN_SINGULAR_RATIO * values[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,10 +91,11 @@ class Selections:
     systems: tuple[RowSystem, ...] = ()
 
     def __post_init__(self) -> None:
-        if len(self.free) > MOST:
+        if len(self.free) > MAX_WALK_FEATURES:
             raise TermselError(f"the selections of {len(self.free)} features cannot be enumerated",
-                               hint=f"Give at most {MOST}, fix some with --set force_on or "
-                                    "force_off, or choose another solver, such as --solver ga.")
+                               hint=f"Give at most {MAX_WALK_FEATURES}, fix some with --set "
+                                    "force_on or force_off, or choose another solver, such as "
+                                    "--solver ga.")
 
     @cached_property
     def free(self) -> IntArray:
@@ -138,7 +139,7 @@ class Selections:
         """Return the scores up to which squared errors may be below these, given rounding."""
         rounding = 1e-13 * sum(float(system.check_target @ system.check_target)
                                for system in self.systems)
-        return np.asarray(squares * (1.0 + MARGIN) + rounding)
+        return np.asarray(squares * (1.0 + SQUARES_MARGIN) + rounding)
 
     def walk(self, branch: Branch, limits: FloatArray) -> tuple[BoolArray, FloatArray]:
         """Return the selections of a branch that may have at most so large squared errors, (r, n).
@@ -153,7 +154,8 @@ class Selections:
         size = self.count(branch)
         if not size:
             return np.zeros((0, self.n), dtype=bool), np.zeros(0)
-        remaining = RemainingSelections(np.empty((size, _WORDS), dtype=np.uint64), np.empty(size))
+        masks = np.empty((size, _MASK_WORDS), dtype=np.uint64)
+        remaining = RemainingSelections(masks, np.empty(size))
         state, space = self._walk_state(branch)
         free = len(self.free)
         fixed = int(self.on.sum())
@@ -216,7 +218,7 @@ class Selections:
         per_system = depths, n_systems
         per_pair = (*per_system, height, height)
         per_row = (*per_system, height)
-        mask = np.zeros((depths, _WORDS), dtype=np.uint64)
+        mask = np.zeros((depths, _MASK_WORDS), dtype=np.uint64)
         mask[0] = np.bitwise_or.reduce(rows.bits[list(branch.used)], axis=0)
         state = WalkState(normal=np.zeros((*per_system, width, width)),
                           right=np.zeros((*per_system, width)),
@@ -289,7 +291,7 @@ class _InErrorUnits:
 
 def _bits(n: int) -> Any:
     """Return the mask of each of n features, ndarray of uint64, shape (n, words)."""
-    bits = np.zeros((n, _WORDS), dtype=np.uint64)
+    bits = np.zeros((n, _MASK_WORDS), dtype=np.uint64)
     features = np.arange(n)
     bits[features, features // _WORD] = np.uint64(1) << (features % _WORD).astype(np.uint64)
     return bits

@@ -13,10 +13,10 @@ from termsel.selection.solvers.ledger import Ledger
 
 log = logging.getLogger(__name__)
 
-LONG = 10.0
+SILENT_SECONDS = 10.0
 """Seconds without a generation and an evaluation after which a solver counts as silent."""
 
-_EVERY = 0.5  # seconds between two looks
+_LOOK_SECONDS = 0.5  # seconds between two looks
 
 
 class _Silence:
@@ -38,10 +38,10 @@ class _Silence:
     def watch(self) -> None:
         """Say it once in the log, and again and again in the progress, until it is over."""
         logged = False
-        while not self.over.wait(_EVERY):
+        while not self.over.wait(_LOOK_SECONDS):
             if self.ledger.count != self.count or not self.running:
                 self.heard()
-            if (quiet := time.perf_counter() - self.since) < LONG:
+            if (quiet := time.perf_counter() - self.since) < SILENT_SECONDS:
                 continue
             message = f"{name_of(self.solver)} has yielded nothing for {quiet:.0f} s"
             if not logged:

@@ -17,7 +17,7 @@ from termsel.selection.problems.segments import SEGMENTS, AnySegment, Bits, Gene
 from termsel.selection.solvers.base import Generation, Solver
 from termsel.selection.solvers.genetic.operators import crossover, mutation
 
-SMALLEST, LARGEST = 20, 200
+SMALLEST_POPULATION, LARGEST_POPULATION = 20, 200
 """Fewest and most chromosomes that a budget of evaluations leads to."""
 
 GENERATIONS = 66
@@ -98,8 +98,8 @@ class GeneticAlgorithm(Solver):
         if given is not None:
             return given
         if problem.budget is None:
-            return LARGEST
-        return min(max(problem.budget // GENERATIONS, SMALLEST), LARGEST)
+            return LARGEST_POPULATION
+        return min(max(problem.budget // GENERATIONS, SMALLEST_POPULATION), LARGEST_POPULATION)
 
     def toolbox(self, problem: Problem, rng: np.random.Generator) -> base.Toolbox:
         """Return the DEAP toolbox: population, evaluate, select, mate and mutate."""
@@ -108,7 +108,7 @@ class GeneticAlgorithm(Solver):
         # DEAP's toolbox is a register of functions with their arguments, any of which may be
         # replaced. A GA with a first population of its own has no such option.
         size = self.population_size(problem)
-        first = o.get("first") or ("shares" if size >= LARGEST else "half")
+        first = o.get("first") or ("shares" if size >= LARGEST_POPULATION else "half")
         draw = evenly if first == "half" else Genome.random
         box.register("population", draw, problem.genome, rng, size)
         box.register("evaluate", problem.evaluate)
