@@ -15,7 +15,7 @@ from termsel.simulate.catalogue import OTHERS, SCENES
 from termsel.simulate.example import vendor_rpc
 from termsel.simulate.kept import FOLDER, to_keep
 from termsel_papers.datasets import SIMULATED
-from termsel_rpc.simulated import CANDIDATES, MATCHES, candidates, matches
+from termsel_rpc.simulated import DATASET_NAME, MATCHES, candidates, matches
 
 ROOT = Path(__file__).parents[1]
 CORE = ROOT / "src" / "termsel" / "simulate" / FOLDER
@@ -33,7 +33,7 @@ def computed() -> Iterator[tuple[Path, FeatureSet]]:
     for name, simulated in SIMULATED.items():
         yield papers / f"{name}.json", simulated()
     rpc = PLUGINS / "termsel-rpc" / "src" / "termsel_rpc" / FOLDER
-    yield rpc / f"{CANDIDATES}.json", candidates()
+    yield rpc / f"{DATASET_NAME}.json", candidates()
     yield rpc / f"{MATCHES}.json", matches()
 
 

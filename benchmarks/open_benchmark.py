@@ -14,7 +14,7 @@ from benchmarks.sets import put
 from termsel_bench.methods.base import AUTO, PEERS, Method
 from termsel_bench.protocol import Score, scores
 from termsel_bench.scenes.catalogue import SETS
-from termsel_bench.tables import NEAR, by_kind, losses
+from termsel_bench.tables import LOSS_RATIO, by_kind, losses
 
 METHODS = (AUTO, Method("solver", "ga"), *(Method("peer", name) for name in PEERS))
 
@@ -51,7 +51,7 @@ def page(found: Sequence[Score]) -> str:
     return "\n".join([
         HEAD, *rows(*by_kind(found)),
         f"\n## Where auto loses\n\n`auto` loses on {len(worse)} of {len(SETS)} sets by more than "
-        f"{100 * (NEAR - 1):.0f} %. Intervals of 95 % are of the independent points.\n",
+        f"{100 * (LOSS_RATIO - 1):.0f} %. Intervals of 95 % are of the independent points.\n",
         *rows(("set", "points", "auto [px]", "best method", "its RMSE [px]", "ratio"), lost)])
 
 

@@ -156,7 +156,7 @@ def stated_crs(text):
     return QgsCoordinateReferenceSystem()
 
 
-LARGEST = 256 << 20
+MAX_FILE_BYTES = 256 << 20
 """Bytes of a file of a result that are read."""
 
 
@@ -170,7 +170,7 @@ def read_inside(folder, name):
     """
     path = Path(folder) / name
     state = path.lstat()
-    if not stat.S_ISREG(state.st_mode) or state.st_size > LARGEST:
+    if not stat.S_ISREG(state.st_mode) or state.st_size > MAX_FILE_BYTES:
         raise OSError(f"{name} is a link, no file, or too large")
     return path.read_text(encoding="utf-8")
 

@@ -12,7 +12,7 @@ from qgis.gui import QgsMapToolEmitPoint
 
 from .layers import read_inside, stated_crs, unguarded
 
-NEAR = 15
+CLICK_PX = 15
 """Pixels of the screen within which a click finds a point."""
 CLOSER = 4
 """By how much "Go to" enlarges a map that shows all points."""
@@ -59,7 +59,7 @@ class ChoosePoint(QgsMapToolEmitPoint):
 
     def choose(self, click, _button=None):
         """Choose the point nearest to a place on the map, if one is near."""
-        near = NEAR * self.canvas().mapUnitsPerPixel()
+        near = CLICK_PX * self.canvas().mapUnitsPerPixel()
         distances = {name: place.distance(click) for name, place in self.on_map().items()}
         name = min(distances, key=distances.get, default=None)
         if name is not None and distances[name] <= near:

@@ -17,7 +17,7 @@ from rasterio.transform import Affine
 
 import termsel
 from termsel import TermselError
-from termsel_app.journal import NAME, open_journal
+from termsel_app.journal import JOURNAL_NAME, open_journal
 from termsel_app.session import Files, Session, open_session
 
 
@@ -87,7 +87,7 @@ def test_a_line_that_was_cut_off_is_dropped_and_one_that_was_edited_is_named(
     folder = tmp_path / "out"
     with session_of(folder, str(scan), (str(ortho),)) as session:
         session.put({"image": [10.0, 20.0]})
-    journal = folder / NAME
+    journal = folder / JOURNAL_NAME
     whole = journal.read_bytes()
     journal.write_bytes(whole + b'{"change": [[null, {"id": "P0')
     with session_of(folder, str(scan), (str(ortho),)) as session:
@@ -107,7 +107,7 @@ def test_nothing_is_lost_when_the_disk_is_full(
     folder = tmp_path / "out"
     with session_of(folder, str(scan), (str(ortho),)) as session:
         session.put({"image": [10.0, 20.0]})
-        size = (folder / NAME).stat().st_size
+        size = (folder / JOURNAL_NAME).stat().st_size
         limits = resource.getrlimit(resource.RLIMIT_FSIZE)
         handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (size + 5, limits[1]))
@@ -121,7 +121,7 @@ def test_nothing_is_lost_when_the_disk_is_full(
             signal.signal(signal.SIGXFSZ, handler)
         assert "lost" in (refused.value.hint or "")
         assert list(session.control.records) == ["P01"]
-        assert (folder / NAME).stat().st_size == size
+        assert (folder / JOURNAL_NAME).stat().st_size == size
         session.put({"image": [30.0, 40.0]})
     with session_of(folder, str(scan), (str(ortho),)) as session:
         assert list(session.control.records) == ["P01", "P02"]
@@ -146,7 +146,7 @@ def test_no_link_in_the_folder_of_a_session_is_followed(
     target.write_text("kept")
     folder = tmp_path / "out"
     folder.mkdir()
-    (folder / NAME).symlink_to(target)
+    (folder / JOURNAL_NAME).symlink_to(target)
     with pytest.raises(TermselError, match="link"), session_of(folder, str(scan), (str(ortho),)):
         pass
     assert target.read_text() == "kept"
@@ -291,7 +291,7 @@ def test_the_journal_is_lines_of_json_with_the_files_first(
     with session_of(tmp_path / "out", str(scan), (str(ortho),)) as session:
         session.put({"image": [1.0, 2.0]})
     first, change = [json.loads(line) for line in
-                     (tmp_path / "out" / NAME).read_text("utf-8").splitlines()]
+                     (tmp_path / "out" / JOURNAL_NAME).read_text("utf-8").splitlines()]
     assert first["schema"] == "termsel-app-1"
     assert first["crs"] == "EPSG:25832"
     assert first["image"] == str(Path("..", "scan.tif"))

@@ -20,7 +20,7 @@ from termsel import FeatureSet, Points, Result, TermselError, export, read
 from termsel.testing import check, checks, invoke
 from termsel_iiif.annotation import MASK, SOURCE, TRANSFORMATION, corners, maps_of
 from termsel_iiif.reader import ALL_POINTS, AnnotationReader
-from termsel_iiif.viewer import KINDS, degrees, forward, kind_of, mercator
+from termsel_iiif.viewer import TRANSFORMATIONS, degrees, forward, kind_of, mercator
 from termsel_iiif.writer import AnnotationWriter
 
 MASK_OF_4 = '<svg width="3000" height="2000"><polygon points="5,5 5,1990 2990,1990 2990,5" /></svg>'
@@ -167,11 +167,11 @@ def test_written_points_are_those_that_were_read(tmp_path: Path) -> None:
                                   np.sort(read(there).points.image, axis=0))
 
 
-@pytest.mark.parametrize("key", KINDS)
+@pytest.mark.parametrize("key", TRANSFORMATIONS)
 def test_a_transformation_is_a_model_and_back(
         tmp_path: Path, key: str, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO", logger="termsel")
-    kind = KINDS[key]
+    kind = TRANSFORMATIONS[key]
     there = write(tmp_path, annotation(**kind.statement))
     read(there)
     assert f"The map is drawn with {kind.label}; --model {kind.model}" in caplog.text
@@ -204,7 +204,7 @@ def test_what_an_annotation_says_of_its_own_comes_back(tmp_path: Path) -> None:
     ({"type": "polynomial", "options": {"order": 4}}, None), ({"type": "straight"}, None),
     ({}, None), ("invalid", None), (None, None)])
 def test_transformations_by_name(stated: Any, key: str | None) -> None:
-    assert kind_of(stated) is (None if key is None else KINDS[key])
+    assert kind_of(stated) is (None if key is None else TRANSFORMATIONS[key])
 
 
 def test_a_model_without_a_name_gets_the_nearest_transformation(

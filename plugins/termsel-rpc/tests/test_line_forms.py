@@ -11,7 +11,7 @@ import termsel
 from termsel import FeatureSet, Fit, Lines, Points, Rpc, read_rpc
 from termsel.toolkit import LeastSquares, scaling_of
 from termsel_rpc import RpcShift
-from termsel_rpc.simulated import CANDIDATES, RPC_FILE
+from termsel_rpc.simulated import DATASET_NAME, RPC_FILE
 
 FloatArray = NDArray[np.float64]
 
@@ -49,7 +49,7 @@ def test_the_parametric_form_is_that_of_unknown_places_along_each_line() -> None
     # The same unknowns by another program: the shift, and the place of each measured end.
     control, _ = measured_lines(0.3, 1)
     rpc, lines = read_rpc(RPC_FILE), control.lines
-    fitted = fit_of(RpcShift(rpc=CANDIDATES, line_form="parametric"), control)
+    fitted = fit_of(RpcShift(rpc=DATASET_NAME, line_form="parametric"), control)
 
     def left(x: FloatArray) -> FloatArray:
         places = lines.ground[:, :1] + x[2:].reshape(-1, 2, 1) * (
@@ -69,7 +69,7 @@ def test_short_measured_pieces_of_long_lines_ask_for_the_parametric_form() -> No
     for seed in range(12):
         control, others = measured_lines(0.05, seed)
         for form, found in missed.items():
-            fitted = fit_of(RpcShift(rpc=CANDIDATES, line_form=form), control)
+            fitted = fit_of(RpcShift(rpc=DATASET_NAME, line_form=form), control)
             away = fitted.project(others.ground) - others.image
             found.append(float(np.sqrt((away**2).sum(axis=1).mean())))
     assert np.median(missed["parametric"]) < 0.5
@@ -78,7 +78,7 @@ def test_short_measured_pieces_of_long_lines_ask_for_the_parametric_form() -> No
 
 def test_a_search_takes_the_parametric_form() -> None:
     result = termsel.run("owdis-lines", model="rpc-shift", solver="swap", seed=1, evaluations=100,
-                         features=with_roles(), options={"rpc": CANDIDATES,
+                         features=with_roles(), options={"rpc": DATASET_NAME,
                                                          "line_form": "parametric"})
     assert result.record.options.model["line_form"] == "parametric"
     check = result.rmse["check"]

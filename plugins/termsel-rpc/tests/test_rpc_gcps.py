@@ -18,7 +18,7 @@ from termsel import FeatureSet, Fits, Points, TermselError, read_result, read_rp
 from termsel.simulate import scene_truth, write_geometry
 from termsel.toolkit import write_result
 from termsel_rpc import Ce90, RpcShift, candidates
-from termsel_rpc.simulated import CANDIDATES, RPC_FILE, SCENE, nominal_sensor, quality
+from termsel_rpc.simulated import DATASET_NAME, RPC_FILE, SCENE, nominal_sensor, quality
 
 Call = Callable[..., SimpleNamespace]
 
@@ -152,7 +152,7 @@ def test_covered_area_as_an_objective() -> None:
 @pytest.mark.parametrize("biases", ["attitude", "both"])
 def test_points_for_a_rigorous_model(biases: str) -> None:
     result = termsel.run("rpc-gcps", model="pushbroom-refine", generations=15, options={
-        "geometry": CANDIDATES, "biases": biases, "polish": False})
+        "geometry": DATASET_NAME, "biases": biases, "polish": False})
     assert result.feasible
     rmse = result.rmse["independent"]
     assert rmse is not None
@@ -170,7 +170,7 @@ def test_terms_of_a_refinement_are_selected() -> None:
     features = FeatureSet(Points(tuple(f"p{i}" for i in range(60)), image, ground),
                           crs="EPSG:4979")
     result = termsel.run("poly-terms", features=features, model="rpc-affine", criterion="ebic",
-                         solver="swap", options={"rpc": CANDIDATES})
+                         solver="swap", options={"rpc": DATASET_NAME})
     assert {"line.bias:1", "sample.bias:1", "sample.bias:line"} <= set(result.selection.terms)
     assert len(result.selection.terms) < 6
 
@@ -246,4 +246,4 @@ def test_embedded_points_are_as_stated() -> None:
 
 
 def test_rpc_shift_has_a_term_for_each_axis() -> None:
-    assert RpcShift(rpc=CANDIDATES).terms == ("line.bias:1", "sample.bias:1")
+    assert RpcShift(rpc=DATASET_NAME).terms == ("line.bias:1", "sample.bias:1")

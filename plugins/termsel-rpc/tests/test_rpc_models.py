@@ -32,7 +32,7 @@ from termsel.toolkit import LeastSquares, registry, scaling_of
 from termsel.toolkit.files import rpb_text
 from termsel_rpc import Ce90, PushbroomRefine, RpcAffine, RpcDrift, RpcField, RpcJitter, RpcShift
 from termsel_rpc.simulated import (
-    CANDIDATES,
+    DATASET_NAME,
     PITCH,
     ROLL,
     ROLL_DRIFT,
@@ -69,7 +69,7 @@ def data_folder() -> Path:
 
 
 def suites() -> dict[str, tuple[Check, ...]]:
-    of = {"rpc": CANDIDATES}
+    of = {"rpc": DATASET_NAME}
     found = {model.name: checks(model, options=[of], place=AROUND_RPC)
              for model in (RpcShift, RpcDrift, RpcAffine)}
     found["rpc-jitter"] = checks(RpcJitter, options=[{**of, "intervals": 2}, {
@@ -79,7 +79,7 @@ def suites() -> dict[str, tuple[Check, ...]]:
         RpcAffine, options=[{**of, "line_form": "parametric"}], place=AROUND_RPC)
     found["rpc-affine in UTM"] = checks(RpcAffine, options=[of], place=IN_UTM)
     found["pushbroom-refine"] = checks(
-        PushbroomRefine, options=[{"geometry": CANDIDATES, "biases": biases}
+        PushbroomRefine, options=[{"geometry": DATASET_NAME, "biases": biases}
                                   for biases in ("attitude", "position")],
         place=AROUND_RPC, expected_failures=TURNS)
     found["ce90"] = checks(Ce90())
@@ -95,7 +95,7 @@ def test_conforms(check: Check) -> None:
 
 @pytest.mark.parametrize(("kind", "name"), [
     *(("models", name) for name in MODELS), ("criteria", "ce90"), ("problems", "rpc-gcps"),
-    ("datasets", CANDIDATES)])
+    ("datasets", DATASET_NAME)])
 def test_is_registered_under_its_name(kind: str, name: str) -> None:
     entry = next(e for e in registry().entries(kind) if e.name == name)
     assert entry.provided_by == "termsel-rpc"
@@ -194,7 +194,7 @@ def test_known_correction_is_found_term_by_term() -> None:
     rpc = read_rpc(RPC_FILE)
     ground = ground_of(rpc, 15)
     seen = rpc.project(ground)
-    fitted = refined("rpc-affine", CANDIDATES, ground, seen + polynomial(seen, 3) @ BIAS)
+    fitted = refined("rpc-affine", DATASET_NAME, ground, seen + polynomial(seen, 3) @ BIAS)
     found = dict(zip(fitted.model.terms, fitted.adjustment.coefficients, strict=True))
     middle, scale = np.array(fitted.scaling.image_offset), fitted.scaling.image_scale
     for axis, name in enumerate(("line", "sample")):
@@ -230,7 +230,7 @@ def test_lines_refine_as_points_do(form: str) -> None:
     along = rng.uniform(-0.2, 0.2, (12, 2, 1)) * (image[:, 1:] - image[:, :1])
     lines = Lines(tuple(f"L{i}" for i in range(12)), image + along, vertices)
     control = FeatureSet(lines=lines, crs="EPSG:4979")
-    fitted = least_squares(RpcAffine(rpc=CANDIDATES, line_form=form), control)
+    fitted = least_squares(RpcAffine(rpc=DATASET_NAME, line_form=form), control)
     others = ground_of(rpc, 30, seed=1)
     seen = rpc.project(others)
     np.testing.assert_allclose(fitted.project(others), seen + polynomial(seen, 3) @ BIAS,
@@ -244,7 +244,7 @@ def test_ground_coordinates_may_be_projected() -> None:
     image = rpc.project(ground) + np.array([4.0, -3.0])
     turn = pyproj.Transformer.from_crs("EPSG:4979", "EPSG:32639", always_xy=True)
     utm = np.column_stack([*turn.transform(ground[:, 0], ground[:, 1]), ground[:, 2]])
-    fitted = refined("rpc-shift", CANDIDATES, utm, image, crs="EPSG:32639")
+    fitted = refined("rpc-shift", DATASET_NAME, utm, image, crs="EPSG:32639")
     np.testing.assert_allclose(fitted.project(utm), image, atol=1e-4)
     found = rpc_of(fitted)
     assert found.how == "exact"
@@ -288,7 +288,7 @@ def refined_pushbroom(true: object, n: int = 30, **options: str) -> Fit:
     ground = ground_of(read_rpc(RPC_FILE), n)
     image = true.project(ground)  # type: ignore[attr-defined]
     control = FeatureSet(Points(tuple(map(str, range(n))), image, ground), crs="EPSG:4979")
-    return least_squares(PushbroomRefine(geometry=CANDIDATES, **options), control)
+    return least_squares(PushbroomRefine(geometry=DATASET_NAME, **options), control)
 
 
 @pytest.mark.parametrize("biases", ["position", "both"])
@@ -352,7 +352,7 @@ def test_vendor_rpc_is_that_of_the_nominal_sensor() -> None:
 def test_without_a_geometry_it_says_how_to_give_one(model: type[SensorModel], option: str,
                                                     words: str) -> None:
     made = model()
-    assert made.terms == model(**{option: CANDIDATES}).terms  # as termsel describe shows them
+    assert made.terms == model(**{option: DATASET_NAME}).terms  # as termsel describe shows them
     with pytest.raises(TermselError, match=f"{model.name!r} requires .* {words}"):
         made.prepared(*AROUND_RPC)
 
@@ -386,7 +386,7 @@ def test_a_field_of_the_geometry_is_amiss(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["rpc-shift", "pushbroom-refine"])
 def test_points_elsewhere_are_refused_with_both_places(name: str) -> None:
-    options = {"geometry" if "push" in name else "rpc": CANDIDATES}
+    options = {"geometry" if "push" in name else "rpc": DATASET_NAME}
     with pytest.raises(TermselError, match=r"covers longitude 48.*, but the control "
                                            r"is in longitude 51"):
         termsel.prepare("owdis-points", dataset="spot-isfahan", model=name, options=options)
@@ -396,7 +396,7 @@ def test_longitudes_go_round() -> None:
     rpc = read_rpc(RPC_FILE)
     ground = ground_of(rpc, 15)
     image = rpc.project(ground) + np.array([4.0, -3.0])
-    fitted = refined("rpc-shift", CANDIDATES, ground - [360.0, 0.0, 0.0], image)
+    fitted = refined("rpc-shift", DATASET_NAME, ground - [360.0, 0.0, 0.0], image)
     assert fitted.control_rmse().total < 1e-6  # type: ignore[union-attr]
 
 
@@ -404,4 +404,4 @@ def test_local_coordinates_are_refused() -> None:
     rpc = read_rpc(RPC_FILE)
     ground = ground_of(rpc, 15)
     with pytest.raises(TermselError, match="without a CRS"):
-        refined("rpc-shift", CANDIDATES, ground, rpc.project(ground), crs="local")
+        refined("rpc-shift", DATASET_NAME, ground, rpc.project(ground), crs="local")

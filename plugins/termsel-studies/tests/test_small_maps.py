@@ -13,7 +13,7 @@ pytest.importorskip("termsel_studies", reason="termsel-studies is not installed:
 
 import termsel
 from termsel.toolkit import Document, Section, TableBlock, page
-from termsel_studies.small import MOST, small_map
+from termsel_studies.small import MAX_ARROWS, small_map
 
 
 def scene(n: int, noise: float) -> termsel.FeatureSet:
@@ -48,7 +48,7 @@ def test_an_arrow_of_a_drawing_points_from_computed_to_measured() -> None:
 def test_the_page_of_two_hundred_images_is_small() -> None:
     many = small_map(termsel.run("poly-terms", solver="all-terms", features=scene(1000, 1.0),
                                  options={"degree": 1}).view)
-    assert many.count("M") <= 3 * MOST + 1
+    assert many.count("M") <= 3 * MAX_ARROWS + 1
     assert "1000 residuals, the largest" in many
     drawn = [many] * 200
     table = TableBlock("200 images", ("image",), [(f"image {i}",) for i in range(200)],

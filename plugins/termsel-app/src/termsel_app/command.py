@@ -103,7 +103,7 @@ def found(files: Files, folder: Path | None) -> tuple[Files, Path]:
     from dataclasses import replace
 
     from termsel_app.iiif import is_iiif
-    from termsel_app.journal import NAME, header_of
+    from termsel_app.journal import JOURNAL_NAME, header_of
     from termsel_app.session import Files
 
     path = Path(files.image or "")
@@ -111,7 +111,7 @@ def found(files: Files, folder: Path | None) -> tuple[Files, Path]:
         return files, folder or by_default(f"{path.parent.name or 'image'}-control")
     if not path.is_dir():
         return files, folder or by_default(f"{path.stem or 'image'}-control")
-    if (path / NAME).exists():
+    if (path / JOURNAL_NAME).exists():
         before = Files.of_header(header_of(path), path)
         return replace(before, maps=before.maps + files.maps), folder or path
     if (path / "result.json").exists():

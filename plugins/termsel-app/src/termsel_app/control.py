@@ -17,9 +17,9 @@ from termsel import FeatureSet, Lines, Points, TermselError
 
 ROLES = ("", "control", "check", "independent", "off")
 """Roles that the page offers; "" lets termsel assign one."""
-MOST = 20_000
+MAX_FEATURES = 20_000
 """Features that a session may have."""
-LARGEST = 1e300
+COORDINATE_LIMIT = 1e300
 """Coordinates are less: JSON has integers of any length."""
 
 Record = dict[str, Any]
@@ -192,6 +192,7 @@ def _place(value: Any, size: int) -> list[float | None]:
 
 
 def _number(value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < LARGEST:
+    if isinstance(value, bool) or not isinstance(value, int | float) \
+            or not abs(value) < COORDINATE_LIMIT:
         raise TermselError(f"{value!r:.40} is no coordinate", hint="Give finite numbers.")
     return float(value)

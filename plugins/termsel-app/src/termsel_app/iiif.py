@@ -19,7 +19,7 @@ from urllib.request import Request, urlopen
 from termsel import TermselError
 
 INFO = "/info.json"
-LARGEST = 2**20
+MAX_DESCRIPTION_BYTES = 2**20
 """Bytes of a description that are read."""
 SECONDS = 20
 _ID = re.compile(r"https?://[\w.:\[\]-]+(/[^\s;,'\"\x00-\x1f\x7f]*)?", re.ASCII)
@@ -66,7 +66,7 @@ def fetched(address: str, remote: bool) -> IiifImage:
     try:
         request = Request(address, headers={"Accept": "application/json"})
         with urlopen(request, timeout=SECONDS) as answer:
-            content = answer.read(LARGEST + 1)
+            content = answer.read(MAX_DESCRIPTION_BYTES + 1)
     except (URLError, OSError, ValueError) as error:
         raise TermselError(f"the image cannot be fetched: {error}", file=address,
                            hint="Is the address right, and the network there?") from error
@@ -76,7 +76,7 @@ def fetched(address: str, remote: bool) -> IiifImage:
 def described(content: bytes, address: str) -> IiifImage:
     """Return the image that a description is of; raises TermselError if it is none."""
     try:
-        info = json.loads(content) if len(content) <= LARGEST else None
+        info = json.loads(content) if len(content) <= MAX_DESCRIPTION_BYTES else None
     except (ValueError, RecursionError):
         info = None
     name = None if not isinstance(info, dict) else info.get("id", info.get("@id"))

@@ -16,11 +16,11 @@ from typing import Any
 
 from termsel import TermselError
 from termsel.toolkit import inside, locked, require_regular
-from termsel_app.control import MOST, ControlFeatures, Patch, checked
+from termsel_app.control import MAX_FEATURES, ControlFeatures, Patch, checked
 
 SCHEMA = "termsel-app-1"
-NAME = "session.jsonl"
-LARGEST = 2**28
+JOURNAL_NAME = "session.jsonl"
+MAX_JOURNAL_BYTES = 2**28
 """Bytes of a journal that are read."""
 MOST_REPEATED = 2_000_000
 """Changes of features that are repeated from a journal, 2 s."""
@@ -75,7 +75,7 @@ def open_journal(folder: Path) -> Iterator[
     """
     with locked(folder, "Another `termsel app` has this session open: use its page, or choose "
                         "another --out."):
-        path = inside(folder, NAME)
+        path = inside(folder, JOURNAL_NAME)
         if path.exists():
             require_regular(path)
         try:
@@ -105,7 +105,7 @@ def _unless_empty(file: FileIO, path: Path) -> Iterator[None]:
 
 def header_of(folder: Path) -> dict[str, Any]:
     """Return the header of a session that is there; raises TermselError if there is none."""
-    path = inside(folder, NAME)
+    path = inside(folder, JOURNAL_NAME)
     require_regular(path)
     try:
         with open(path, "rb", buffering=0, opener=_without_links) as file:
@@ -124,7 +124,7 @@ def _without_links(name: str, flags: int) -> int:
 def read_entries(file: FileIO, path: Path) -> tuple[list[dict[str, Any]], int]:
     """Return the entries of a journal, and the bytes up to the end of the last that is whole."""
     file.seek(0)
-    if os.fstat(file.fileno()).st_size > LARGEST:
+    if os.fstat(file.fileno()).st_size > MAX_JOURNAL_BYTES:
         raise TermselError("the session is too large to be read", file=path)
     content = file.readall() or b""
     length = content.rfind(b"\n") + 1  # what follows was cut off
@@ -167,9 +167,9 @@ def replayed(entries: list[dict[str, Any]], path: Path) -> ControlFeatures:
                                line=number, hint="Was the file edited? Remove the line, or choose "
                                                  "another --out.") from error
         repeated += len(patches)  # each undo and redo may be of all features
-        if len(control) > MOST or repeated > MOST_REPEATED:
-            raise TermselError(f"a session has at most {MOST:,} features and {MOST_REPEATED:,} "
-                               "changes of them", file=path, line=number)
+        if len(control) > MAX_FEATURES or repeated > MOST_REPEATED:
+            raise TermselError(f"a session has at most {MAX_FEATURES:,} features and "
+                               f"{MOST_REPEATED:,} changes of them", file=path, line=number)
     return control
 
 

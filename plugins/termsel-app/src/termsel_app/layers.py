@@ -13,7 +13,7 @@ from termsel_app.prediction import Prediction
 from termsel_app.rasters import TILE, Pixels, Raster
 from termsel_app.session import Session
 
-NODES = 17
+NODES_OF_TILE = 17
 """Places along either side of a tile where the model is computed; it is interpolated between."""
 
 
@@ -51,13 +51,13 @@ def warped_tile(image: Raster, prediction: Prediction, box: Box) -> Pixels:
     west, south, east, north = box
     # The model at 17 x 17 nodes, and bilinear between them, which no eye tells from the model
     # itself.
-    x = np.linspace(west, east, NODES)
-    y = np.linspace(north, south, NODES)
+    x = np.linspace(west, east, NODES_OF_TILE)
+    y = np.linspace(north, south, NODES_OF_TILE)
     nodes = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    image_nodes = prediction.to_image(nodes).reshape(NODES, NODES, 2)
+    image_nodes = prediction.to_image(nodes).reshape(NODES_OF_TILE, NODES_OF_TILE, 2)
     if not np.isfinite(image_nodes).all():
         return np.zeros((TILE, TILE, 4), dtype=np.uint8)
-    at = (np.arange(TILE) + 0.5) / TILE * (NODES - 1)
+    at = (np.arange(TILE) + 0.5) / TILE * (NODES_OF_TILE - 1)
     mesh = np.meshgrid(at, at, indexing="ij")
     lines, samples = (map_coordinates(image_nodes[..., axis], mesh, order=1).ravel()
                       for axis in (0, 1))

@@ -16,7 +16,7 @@ from termsel_app.rasters import TILE, Pixels, Raster, refuse_giant
 
 MOST_VERTICES = 400_000
 """Vertices of vector layers that the page gets."""
-KINDS = ("Point", "LineString", "Polygon", "MultiPoint", "MultiLineString", "MultiPolygon",
+GEOMETRIES = ("Point", "LineString", "Polygon", "MultiPoint", "MultiLineString", "MultiPolygon",
          "GeometryCollection")
 _VECTORS = (".gpkg", ".geojson", ".json", ".shp", ".fgb", ".kml", ".gml", ".gpx")
 FINER = 4
@@ -219,7 +219,7 @@ def open_maps(names: Sequence[str], crs: str | None, remote: bool) -> Maps:
 
 def _layer_of(name: str) -> tuple[Any, str]:
     """Return the shapes of a vector file, and its CRS; "" where it states none."""
-    meta, shapes, _ = open_layer(Path(name), None, KINDS)
+    meta, shapes, _ = open_layer(Path(name), None, GEOMETRIES)
     if shapes is None:
         raise TermselError("the layer has no geometry", file=name,
                            hint="Give a layer of points, lines or areas.")

@@ -31,10 +31,10 @@ HALF = 64
 """Pixels of the image around a point that are matched, to each side."""
 SEARCH = 16.0
 """Pixels that a click may be off."""
-FEWEST, APART = 3, 1.0
+MIN_MATCHES, MAX_SPREAD = 3, 1.0
 """Matches that must agree around a point, and to how many pixels."""
-NODES = 9
-LARGEST = 1024
+NODES_OF_WINDOW = 9
+MAX_WINDOW_SIDE = 1024
 """Pixels of the map along a side that are read around a point."""
 PROPOSED, CELLS = 12, 4
 """New points that are proposed at once, and parts of the image along a side that they lie in."""
@@ -97,11 +97,11 @@ def _shifts(matcher: Any, first: Any, second: Any) -> FloatArray:
 
 def _agreed(shifts: FloatArray) -> FloatArray | None:
     """Return the median of shifts that agree; None where too few do."""
-    if len(shifts) < FEWEST:
+    if len(shifts) < MIN_MATCHES:
         return None
     median = np.median(shifts, axis=0)
-    near = np.hypot(*(shifts - median).T) <= APART
-    if near.sum() < max(FEWEST, len(shifts) / 2):
+    near = np.hypot(*(shifts - median).T) <= MAX_SPREAD
+    if near.sum() < max(MIN_MATCHES, len(shifts) / 2):
         return None
     agreed: FloatArray = np.median(shifts[near], axis=0)
     return agreed
@@ -118,7 +118,7 @@ def _windows(session: Session, prediction: Prediction, record: Record) -> tuple[
     first_line = round(line) - HALF
     first_sample = round(sample) - HALF
     picture = session.image.pixels((first_line, first_sample, width, width), (width, width))
-    nodes = np.linspace(0, width - 1, NODES)
+    nodes = np.linspace(0, width - 1, NODES_OF_WINDOW)
     mesh = np.stack(np.meshgrid(nodes, nodes, indexing="ij"), axis=-1).reshape(-1, 2)
     on_map = prediction.to_map(mesh + np.array([first_line, first_sample]))
     at_point = prediction.to_map([record["image"]])[0]
@@ -145,14 +145,15 @@ def _seen(raster: MapRaster, on_map: FloatArray, page_crs: str, width: int) -> t
         return _grey(np.zeros((width, width, 4), dtype=np.uint8))
     first_row, first_column = np.floor([rows.min(), columns.min()]).astype(int) - 1
     size = np.ceil([rows.max() - first_row, columns.max() - first_column]).astype(int) + 2
-    step = max(-(-int(size.max()) // LARGEST), 1)  # a map that is far finer than the image
+    step = max(-(-int(size.max()) // MAX_WINDOW_SIDE), 1)  # a map that is far finer than the image
     shape = (-(-int(size[0]) // step), -(-int(size[1]) // step))
     box = (first_row, first_column, shape[0] * step, shape[1] * step)
     grey, opaque = _grey(raster.raster.pixels(box, shape))
-    at = np.arange(width) / (width - 1) * (NODES - 1)
+    at = np.arange(width) / (width - 1) * (NODES_OF_WINDOW - 1)
     mesh = np.meshgrid(at, at, indexing="ij")
     lines, samples = (
-        (map_coordinates(values.reshape(NODES, NODES), mesh, order=1) - start) / step - 0.5
+        (map_coordinates(values.reshape(NODES_OF_WINDOW, NODES_OF_WINDOW), mesh, order=1)
+         - start) / step - 0.5
         for values, start in ((rows, first_row), (columns, first_column)))
     return (map_coordinates(grey, [lines, samples], order=1),
             map_coordinates(opaque.astype(np.float32), [lines, samples], order=1) > 0.999)

@@ -21,13 +21,13 @@ from termsel.toolkit import charts
 if TYPE_CHECKING:
     from termsel import FeatureSet, Result
 
-FEWEST = 3
+MIN_POINTS = 3
 """Points from which on there is a model without an RPC."""
 NEXT = 3
 """Places to measure next."""
 GRID = 40
 """Places along either side of the image where the uncertainty is computed."""
-FEWEST_LINES = 6
+MIN_LINES = 6
 """Lines from which on OWDIS chooses among them: two equations each, for the terms of a plane."""
 ENOUGH = 0.05
 """Share of the uncertainty that a further point must gain to be worth measuring."""
@@ -71,7 +71,7 @@ def judged(question: Question) -> Iterator[Answer]:
     base = {"serial": question.serial}
     # An RPC is a model already: one point corrects it.
     in_use = [role != "off" for role in features.points.roles].count(True)
-    fewest = 1 if question.rpc is not None else FEWEST
+    fewest = 1 if question.rpc is not None else MIN_POINTS
     if in_use < fewest and not len(features.lines):
         yield {**base, "stage": "waiting",
                "text": f"{fewest - in_use} more "
@@ -88,7 +88,7 @@ def judged(question: Question) -> Iterator[Answer]:
     # Each stage is sent as soon as it is there: the first takes a second, the last several.
     yield {**base, "stage": "figures", **figures(result), "result": result}
     yield {**base, "stage": "predicted", "errors": prediction_errors(result)}
-    if len(features.lines) >= FEWEST_LINES:
+    if len(features.lines) >= MIN_LINES:
         yield {**base, "stage": "lines", **chosen_lines(features)}
     yield {**base, "stage": "next", **_next_places(result)}
     yield {**base, "stage": "uncertainty", "uncertainty": uncertainty(result)}

@@ -19,7 +19,14 @@ import numpy as np
 import termsel
 from termsel import FeatureSet, TermselError
 from termsel.toolkit import LOCAL, horizontal, normalise
-from termsel_app.control import LARGEST, MOST, ControlFeatures, Patch, Record, checked
+from termsel_app.control import (
+    COORDINATE_LIMIT,
+    MAX_FEATURES,
+    ControlFeatures,
+    Patch,
+    Record,
+    checked,
+)
 from termsel_app.iiif import IiifImage, fetched, is_iiif
 from termsel_app.journal import Journal, entry_of, open_journal
 from termsel_app.maps import Box, Maps, around, box_of, open_maps
@@ -34,7 +41,7 @@ MOST_PASTED = 2**20
 
 
 LONGEST_NAME = 4096
-NAMES = ("image", "points", "lines", "rpc", "dem")
+FILE_KEYS = ("image", "points", "lines", "rpc", "dem")
 """What of the files of a session is a name."""
 
 
@@ -83,7 +90,7 @@ class Files:
         """
         # All names of files as seen from the folder; other values as they are.
         names = {key: None if (name := getattr(self, key)) is None else from_folder(name, folder)
-                 for key in NAMES}
+                 for key in FILE_KEYS}
         return {**asdict(self), **names,
                 "maps": [from_folder(name, folder) for name in self.maps]}
 
@@ -109,7 +116,7 @@ class Files:
         # Servers of tiles are given anew each time: a journal must not send requests.
         local = tuple(from_here(name, folder) for name in maps
                       if "://" not in name and not name.startswith("/vsi"))
-        texts.update({key: from_here(str(texts[key]), folder) for key in NAMES
+        texts.update({key: from_here(str(texts[key]), folder) for key in FILE_KEYS
                       if texts[key] is not None})
         return cls(**texts, maps=local, size=None if size is None else (size[0], size[1]))
 
@@ -181,8 +188,8 @@ class Session:
             if name is not None and name != before and name in self.control.records:
                 raise TermselError(f"there is a feature {name!r} already",
                                    hint="Choose another name.", ids=[name])
-        if len(self.control.records) + len(patches) > MOST:
-            raise TermselError(f"a session has at most {MOST:,} features")
+        if len(self.control.records) + len(patches) > MAX_FEATURES:
+            raise TermselError(f"a session has at most {MAX_FEATURES:,} features")
 
     def undo(self) -> None:
         """Take back the last change."""
@@ -386,7 +393,8 @@ def checked_places(positions: Any) -> list[list[float]]:
     # JSON knows no infinity, but Python reads it.
     for position in positions:
         if not isinstance(position, list) or len(position) != 2 or not all(
-                isinstance(value, int | float) and abs(value) < LARGEST for value in position):
+                isinstance(value, int | float) and abs(value) < COORDINATE_LIMIT
+                for value in position):
             raise TermselError("a position has two finite coordinates")
     return positions
 

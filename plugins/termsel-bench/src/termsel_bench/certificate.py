@@ -42,7 +42,7 @@ MOST_NODES = 50_000
 """Steps of a tree at most; a larger one leaves the rest open, and says so."""
 
 # Of limits at one node.
-_STEPS = 8
+_REFINEMENT_STEPS = 8
 # Limits that fall to less than this share are worth a step.
 _GAIN = 0.9
 # Decades, by a factor, of all limits together at which a node mostly closes.
@@ -215,7 +215,7 @@ def _bounded(columns: Columns, node: Node,
     Each step is one that the checker has accepted.
     """
     steps: list[Step] = []
-    for _ in range(_STEPS):
+    for _ in range(_REFINEMENT_STEPS):
         # Multipliers of the node before are a good start, and a bound often falls below 1 at once.
         bound = bounded(columns)
         if bound is None:

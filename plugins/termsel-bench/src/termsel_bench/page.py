@@ -11,7 +11,7 @@ from termsel_bench.methods.base import AUTO
 from termsel_bench.protocol import Score
 from termsel_bench.scenes.croissant import VERSION
 from termsel_bench.scenes.measured import MEASURED
-from termsel_bench.tables import NEAR, best_of, by_kind, losses, ratio
+from termsel_bench.tables import LOSS_RATIO, best_of, by_kind, losses, ratio
 
 
 def document(scores: Sequence[Score], title: str = AUTO.title) -> Document:
@@ -35,7 +35,7 @@ def document(scores: Sequence[Score], title: str = AUTO.title) -> Document:
         f"Median ratio of the {figure} to the least of each set; - where the method has no result "
         "on half of the sets or more.", tuple(header), [tuple(row) for row in rows])
     lost = TableBlock(
-        f"Sets where {title} loses by more than {100 * (NEAR - 1):.0f} %",
+        f"Sets where {title} loses by more than {100 * (LOSS_RATIO - 1):.0f} %",
         ("set", "points", f"{title} [px]", "95 %", "best method", "best [px]", "95 %", "ratio"),
         [(loss.set_name, str(loss.control), _px(loss.rmse), _interval(loss), winner.method.title,
           _px(winner.rmse), _interval(winner), f"{loss.rmse / winner.rmse:.2f}")

@@ -29,7 +29,7 @@ SEED = 1
 """Seed of every method."""
 
 _RESAMPLES = 400
-_LEVEL = 0.95
+_CONFIDENCE = 0.95
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ def _interval(values: FloatArray, figure: Callable[[FloatArray], Any]) -> tuple[
     rng = np.random.default_rng(SEED)
     figures = [figure(values[rng.integers(len(values), size=len(values))])
                for _ in range(_RESAMPLES)]
-    low, high = np.quantile(figures, [(1 - _LEVEL) / 2, (1 + _LEVEL) / 2])
+    low, high = np.quantile(figures, [(1 - _CONFIDENCE) / 2, (1 + _CONFIDENCE) / 2])
     return float(low), float(high)
 
 

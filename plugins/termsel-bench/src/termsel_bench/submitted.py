@@ -20,7 +20,7 @@ from termsel_bench.scenes.measured import checksums_of_measured
 
 SCHEMA = "termsel-bench-1"
 
-TOLERANCE = 0.01
+REPEATED_SHARE = 0.01
 """Share by which a repeated RMSE may differ: machines and versions of libraries round otherwise."""
 
 
@@ -157,6 +157,6 @@ def check(submitted: Submitted, pattern: str = "", *, processes: int = 1) -> Che
         else:
             difference = abs(repeated_rmse / submitted_rmse - 1) if submitted_rmse > 0 else math.inf
         worst = max(worst, difference)
-        if not difference <= TOLERANCE:
+        if not difference <= REPEATED_SHARE:
             refuted.append(repeated_score.set_name)
     return Checked(submitted, len(names), tuple(refuted), worst)

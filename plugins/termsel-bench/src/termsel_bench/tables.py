@@ -10,11 +10,11 @@ from statistics import median
 from termsel.toolkit import csv_table
 from termsel_bench.protocol import Score
 
-COLUMNS = ("set", "kind", "method", "points", "independent", "rmse", "low", "high", "ratio",
+TABLE_COLUMNS = ("set", "kind", "method", "points", "independent", "rmse", "low", "high", "ratio",
            "seconds", "why")
 """Columns of table.csv."""
 
-NEAR = 1.02
+LOSS_RATIO = 1.02
 """A method loses on a set where its RMSE is above that of another by more than this."""
 
 
@@ -35,7 +35,7 @@ def ratio(score: Score, best: dict[str, float]) -> float:
 def csv_text(scores: Sequence[Score]) -> str:
     """Return table.csv."""
     best = best_of(scores)
-    rows: list[Sequence[object]] = [COLUMNS]
+    rows: list[Sequence[object]] = [TABLE_COLUMNS]
     for score in scores:
         figures = [f"{value:.4f}" if math.isfinite(value) else "" for value in (
             score.rmse, score.low, score.high, ratio(score, best))]
@@ -60,10 +60,11 @@ def by_kind(scores: Sequence[Score]) -> tuple[list[str], list[list[str]]]:
         rows.append((median(all_ratios), [title, *(_shown(median(values) if values else math.inf)
                                                    for values in ratios.values()),
                                           _shown(median(all_ratios)),
-                                          str(sum(value <= NEAR for value in all_ratios)),
+                                          str(sum(value <= LOSS_RATIO for value in all_ratios)),
                                           str(sum(math.isinf(value) for value in all_ratios)),
                                           f"{median(score.seconds for score in of_title):.2f}"]))
-    header = ["method", *kinds, "all", f"within {100 * (NEAR - 1):.0f} %", "no result", "seconds"]
+    header = ["method", *kinds, "all", f"within {100 * (LOSS_RATIO - 1):.0f} %", "no result",
+              "seconds"]
     return header, [row for _, row in sorted(rows, key=lambda pair: pair[0])]
 
 
@@ -75,7 +76,7 @@ def losses(scores: Sequence[Score], title: str) -> list[tuple[Score, Score]]:
                   if rival.set_name == score.set_name and rival.method.title != title]
         winner = min(rivals, key=lambda rival: rival.rmse, default=None)
         if score.method.title == title and winner is not None \
-                and score.rmse > NEAR * winner.rmse:
+                and score.rmse > LOSS_RATIO * winner.rmse:
             lost.append((score, winner))
     return sorted(lost, key=lambda pair: -pair[0].rmse / pair[1].rmse)
 

@@ -35,7 +35,7 @@ from termsel_block.geometry.control import own_control
 from termsel_block.geometry.frame import BoolArray, FloatArray, IntArray
 from termsel_block.joint import BlockResult, adjust
 
-NAME = "owdis-block"
+PROBLEM_NAME = "owdis-block"
 
 # Numbers of normal matrices held at once.
 _BATCH = 4_000_000
@@ -72,7 +72,7 @@ class Selected:
 
     def record(self, solver: str, seed: int) -> dict[str, Any]:
         """Return all figures, for JSON."""
-        return {"problem": NAME, "solver": solver, "seed": seed, "control": self.control,
+        return {"problem": PROBLEM_NAME, "solver": solver, "seed": seed, "control": self.control,
                 "ties": self.ties, "evaluations": self.search.evaluations,
                 "certificate": self.search.certificate, "rmse": {
                     "check": self.check, "check_of_all": self.check_of_all,

@@ -13,7 +13,7 @@ from termsel_block.block import Block, BlockImage, Ties
 from termsel_block.geometry.frame import BoolArray, FloatArray, IntArray
 
 LON, LAT = 48.5, 34.8
-_METRES = 111_320.0
+_DEGREE_METRES = 111_320.0
 # Stacks one below the other, before the next strip begins.
 _ROWS = 20
 # From one stack to the next, in widths of an image.
@@ -156,8 +156,8 @@ def simulate_block(
 
 def height(lonlat: FloatArray, hills: Hills = HILLS) -> FloatArray:
     """Return the heights of the simulated ground [m] at longitudes and latitudes (n, 2)."""
-    east = (lonlat[:, 0] - LON) * _METRES * np.cos(np.radians(LAT)) / 1000
-    north = (lonlat[:, 1] - LAT) * _METRES / 1000
+    east = (lonlat[:, 0] - LON) * _DEGREE_METRES * np.cos(np.radians(LAT)) / 1000
+    north = (lonlat[:, 1] - LAT) * _DEGREE_METRES / 1000
     a, b, c, d = hills.phases
     return np.asarray(_MEAN + hills.relief * (
         180 * np.sin(east / 3.1 + a) * np.cos(north / 4.3 + b)
@@ -167,7 +167,7 @@ def height(lonlat: FloatArray, hills: Hills = HILLS) -> FloatArray:
 def _middle(stack: int, width: float) -> tuple[float, float]:
     """Return longitude and latitude of the ground that a stack of three images sees."""
     column, row = divmod(stack, _ROWS)
-    step = _STACK_STEP * width / _METRES
+    step = _STACK_STEP * width / _DEGREE_METRES
     return LON + column * step / np.cos(np.radians(LAT)), LAT - row * step
 
 
@@ -178,7 +178,7 @@ def _sensor(i: int, size: int, gsd: float, views: Sequence[tuple[float, float]],
     angle = views[i % len(views)][0] + rng.uniform(-3, 3)
     azimuth = views[i % len(views)][1] + rng.uniform(-10, 10)
     sensor = pushbroom_at(
-        middle[0] + rng.normal(0, 0.03) * size * gsd / _METRES, middle[1], height=_MEAN,
+        middle[0] + rng.normal(0, 0.03) * size * gsd / _DEGREE_METRES, middle[1], height=_MEAN,
         off_nadir=angle, look_azimuth=azimuth, gsd=gsd, image_size=(size, size),
         altitude=680e3, inclination=98.1)
     # An unknown attitude that turns slowly: rates and accelerations that no vendor states.
@@ -215,13 +215,14 @@ def _seen_ties(sensors: list[Pushbroom], n: int, n_ties: int, extent: _Extent,
     size = extent.size
     hills = extent.hills
     middles = np.array([_middle(i // 3, width) for i in range(n)])
-    reach = 1.2 * width / _METRES
+    reach = 1.2 * width / _DEGREE_METRES
     for stack in range((n + 2) // 3):
         lon, lat = middles[3 * stack]
         n_candidates = max(n_ties // 4, 1) if n > 3 else n_ties
-        east = rng.uniform(-0.55, 0.55, n_candidates) * width / _METRES / np.cos(np.radians(LAT))
-        xy = np.column_stack([lon + east,
-                              lat + rng.uniform(-0.55, 0.55, n_candidates) * width / _METRES])
+        east = rng.uniform(-0.55, 0.55, n_candidates) * width / _DEGREE_METRES \
+            / np.cos(np.radians(LAT))
+        north = rng.uniform(-0.55, 0.55, n_candidates) * width / _DEGREE_METRES
+        xy = np.column_stack([lon + east, lat + north])
         ground = np.column_stack([xy, height(xy, hills)])
         rows = []
         # Images of other stacks see the ground, too, as each overlaps the next.
@@ -256,7 +257,7 @@ def _known_places(sensors: list[Pushbroom], control: list[int], independent: int
     With them the stack of each; -1 for independent ones.
     """
     stacks = (len(sensors) + 2) // 3
-    half = 0.46 * width / _METRES
+    half = 0.46 * width / _DEGREE_METRES
     # Control lies in one stack; independent points are spread over all.
     of_control = np.repeat(np.arange(len(control)), control)
     stack_of = np.concatenate([of_control, rng.choice(stacks, independent * stacks)])

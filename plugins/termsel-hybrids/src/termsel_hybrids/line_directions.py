@@ -14,9 +14,9 @@ from termsel.toolkit import is_geographic
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
 
-_METRES = 111_320.0
+_DEGREE_METRES = 111_320.0
 """Length of a degree of latitude [m]."""
-_STEPS = 6
+_NEWTON_STEPS = 6
 """From the nearest rotation: Gauss-Newton converges quadratically where errors are small."""
 
 
@@ -75,7 +75,7 @@ class LineDirections(SensorModel):
         if crs and is_geographic(crs):
             # To a tenth of a degree, so that fits to parts of the control are of one model.
             latitude = np.radians(round(self.scaling.ground_offset[1], 1))
-            units[:2] *= _METRES * np.array([np.cos(latitude), 1.0])
+            units[:2] *= _DEGREE_METRES * np.array([np.cos(latitude), 1.0])
         return np.asarray(units / units[:2].max())
 
 
@@ -165,7 +165,7 @@ class LineConformal(LineDirections):
         a, b = left_vectors @ right_vectors
         turn = _quaternion(np.stack([a, b, np.cross(a, b)]))
         solution = np.array([*affine[:, 0], *turn * np.sqrt(sizes.mean())])
-        for _ in range(_STEPS):
+        for _ in range(_NEWTON_STEPS):
             step = self.linearised(features, solution)
             solution = np.linalg.lstsq(step.A, step.b, rcond=1e-9)[0]
         return solution

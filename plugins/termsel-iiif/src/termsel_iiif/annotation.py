@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 
 import msgspec
 
-NAME = "georeference-annotation"
+FORMAT_NAME = "georeference-annotation"
 SOURCE, MASK, TRANSFORMATION = "iiif_source", "iiif_mask", "iiif_transformation"
 """Attributes in which the first point of a map keeps what is not of a point."""
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from termsel import FeatureSet, Option, Points, Reader, TermselError
 from termsel.toolkit import read_text
-from termsel_iiif.annotation import NAME, Map, kept, maps_of
+from termsel_iiif.annotation import FORMAT_NAME, Map, kept, maps_of
 from termsel_iiif.viewer import kind_of
 
 log = logging.getLogger("termsel.iiif")
@@ -31,7 +31,7 @@ class AnnotationReader(Reader):
     point, which the writer `georeference-annotation` takes back.
     """
 
-    name = NAME
+    name = FORMAT_NAME
     summary = "georeference annotation of a IIIF image, as of Allmaps; --set map=2 of a page"
     declared_options: ClassVar[tuple[Option, ...]] = (_MAP,)
 

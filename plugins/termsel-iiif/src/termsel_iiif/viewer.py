@@ -57,7 +57,7 @@ def _polynomial(order: int) -> Kind:
                 {"type": "polynomial", "options": {"order": order}}, "poly2d", {"degree": order})
 
 
-KINDS: dict[str, Kind] = {
+TRANSFORMATIONS: dict[str, Kind] = {
     "similarity": Kind("helmert", {"type": "helmert"}, "helmert2d", {"mirrored": False}),
     "order 1": _polynomial(1),
     "projective": Kind("projective", {"type": "projective"}, "projective2d", {}),
@@ -76,7 +76,7 @@ def kind_of(stated: Any) -> Kind | None:
     options = stated.get("options")
     # Nothing of a file is trusted to be of the type that the extension says.
     order = options.get("order", 1) if isinstance(options, dict) else 1
-    for kind in KINDS.values():
+    for kind in TRANSFORMATIONS.values():
         if stated.get("type") == kind.statement["type"] and (
                 kind.model != "poly2d" or order == kind.options["degree"]):
             return kind
@@ -89,7 +89,7 @@ def kind_of_fit(fitted: Fit) -> str | None:
     A polynomial of which terms were left out is none, nor is a mirrored similarity.
     """
     model = fitted.model
-    for key, kind in KINDS.items():
+    for key, kind in TRANSFORMATIONS.items():
         # All terms in use, and the options that the transformation stands for.
         if model.name == kind.model and fitted.terms.all() and all(
                 model.options.get(name) == value for name, value in kind.options.items()):
@@ -116,7 +116,7 @@ def forward(key: str, image: FloatArray, plane: FloatArray) -> Forward | None:
     Parameters
     ----------
     key : str
-        Of `KINDS`.
+        Of `TRANSFORMATIONS`.
     image : ndarray, shape (n, 2)
         Line and sample.
     plane : ndarray, shape (n, 2)

@@ -10,10 +10,10 @@ import numpy as np
 
 from termsel import Fit, Option, Result, TermselError, Writer
 from termsel.toolkit import LOCAL, FloatArray, say_deviation, to_wgs84, transformation, write_text
-from termsel_iiif.annotation import MASK, NAME, SOURCE, TRANSFORMATION
+from termsel_iiif.annotation import FORMAT_NAME, MASK, SOURCE, TRANSFORMATION
 from termsel_iiif.reader import CENTRE
 from termsel_iiif.viewer import (
-    KINDS,
+    TRANSFORMATIONS,
     Forward,
     degrees,
     forward,
@@ -24,7 +24,7 @@ from termsel_iiif.viewer import (
 )
 
 # In px.
-_ALIKE = 0.01
+_ALIKE_PX = 0.01
 
 _IMAGE = Option("image_id", "", "Address of the IIIF image, such as https://example.org/iiif/map1; "
                                 "by default that of the annotation that was read.")
@@ -42,7 +42,7 @@ class AnnotationWriter(Writer):
     express, such as an effect of heights, is not in it either.
     """
 
-    name = NAME
+    name = FORMAT_NAME
     summary = "control points as a IIIF georeference annotation, for Allmaps and other viewers"
     needs = "points with a CRS; --set image_id=URL unless an annotation was read"
     suffix = "_annotation.json"
@@ -133,7 +133,7 @@ def _transformation(fitted: Fit, image: FloatArray, lonlat: FloatArray,
     """
     plane = mercator(lonlat)
     by_kind = {}
-    for key in KINDS:
+    for key in TRANSFORMATIONS:
         by_points = forward(key, image, plane)
         if by_points is not None:
             by_kind[key] = by_points
@@ -145,10 +145,10 @@ def _transformation(fitted: Fit, image: FloatArray, lonlat: FloatArray,
     worst = {key: float(np.nan_to_num(np.hypot(*(fitted.project(ground) - at).T), nan=np.inf
                                       ).max(initial=0.0)) for key, (ground, at) in viewed.items()}
     # The simplest kind that is nearly as near as the nearest.
-    key = next(key for key in viewed if worst[key] <= min(worst.values()) + _ALIKE)
-    kind = KINDS[key]
+    key = next(key for key in viewed if worst[key] <= min(worst.values()) + _ALIKE_PX)
+    kind = TRANSFORMATIONS[key]
     ignored = ", and ignores heights" if fitted.model.uses_height else ""
-    say_deviation(NAME, fitted, *viewed[key], f", by a viewer with {kind.label}{ignored}")
+    say_deviation(FORMAT_NAME, fitted, *viewed[key], f", by a viewer with {kind.label}{ignored}")
     return stated_before if kind_of(stated_before) is kind else kind.statement
 
 

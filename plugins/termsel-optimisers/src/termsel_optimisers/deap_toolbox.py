@@ -156,12 +156,12 @@ def to_deap(problem: Problem) -> base.Toolbox:
     for alias in ("individual", "population", "evaluate", "map"):
         box.register(alias, getattr(judge, alias))
     box.register("clone", deepcopy)
-    for role in ROLES:
+    for role in OPERATORS:
         register(box, role, None, problem.genome)
     return box
 
 
-ROLES = {"select": ("sel", "selTournament:tournsize=3"), "mate": ("cx", "cxUniform:indpb=0.5"),
+OPERATORS = {"select": ("sel", "selTournament:tournsize=3"), "mate": ("cx", "cxUniform:indpb=0.5"),
          "mutate": ("mut", "mutFlipBit")}
 """Operators of a toolbox: how their functions in `deap.tools` begin, and the default."""
 
@@ -173,7 +173,7 @@ def register(box: base.Toolbox, role: str, declaration: str | None, genome: Geno
     the genome is taken. Where ``indpb`` of a mutation is not given, the mean number of flips is 1.
     Raises TermselError for an operator that there is not, or arguments that it does not take.
     """
-    start, default = ROLES[role]
+    start, default = OPERATORS[role]
     if declaration is None and role != "select" and genome.dtype != np.bool_:
         box.register(role, _mated if role == "mate" else _mutated, genome=genome)
         return

@@ -33,11 +33,11 @@ DIRECTED = frozenset({"nsga3", "unsga3", "rvea", "ctaea"})
 """Those with reference directions."""
 
 _UNCONSTRAINED = "refuses constraints, so it would not keep infeasible selections out"
-_POINTS = "requires reference points; make a solver of it with termsel_optimisers.from_pymoo"
+_NEEDS_POINTS = "requires reference points; make a solver of it with termsel_optimisers.from_pymoo"
 _NUMBERS = "moves real numbers, not bits"
 UNFIT = {
     **dict.fromkeys(("moead", "dnsga2", "kgb"), _UNCONSTRAINED),
-    **dict.fromkeys(("rnsga2", "rnsga3"), _POINTS),
+    **dict.fromkeys(("rnsga2", "rnsga3"), _NEEDS_POINTS),
     "pinsga2": "asks a person after each few generations",
     "random_search": "is what termsel's own solver 'random' does",
     **dict.fromkeys(("brkga", "cmaes", "cmopso", "de", "direct", "es", "g3pcx", "gde3", "isres",

@@ -24,7 +24,7 @@ from termsel.toolkit import FloatArray
 from termsel.toolkit.models import ASSIGNABLE, no_lines
 from termsel_photos.photo import DIGITS
 
-NAME = "old-map"
+MAP_NAME = "old-map"
 CRS = "EPSG:32633"
 
 SIZE = (6000, 8000)
@@ -45,7 +45,7 @@ WARP = 4.0
 WAVES = 200
 """Random waves that add up to the local distortion."""
 
-REACH = 0.15
+DISTORTION_LENGTH = 0.15
 """Length of the local distortion, by the longer side of the scan."""
 
 _CANDIDATES = 12
@@ -139,7 +139,7 @@ def _places(rng: Generator, count: int) -> FloatArray:
 
 def _field(rng: Generator, size: float, positions: FloatArray) -> FloatArray:
     """Return the local distortion at places [px], shape (n, 2)."""
-    length = REACH * max(SIZE)
+    length = DISTORTION_LENGTH * max(SIZE)
     shift = np.empty(positions.shape)
     for axis in (0, 1):
         # Waves whose numbers are drawn from the spectrum of a Matern field of smoothness 5/2, a
@@ -184,6 +184,6 @@ def _shrunk(rng: Generator, shrinkage: float, image: FloatArray) -> FloatArray:
 
 
 MAP = DatasetSpec(
-    NAME, "simulated scan of an old map of four sheets, 0.25 m: 90 points without heights",
+    MAP_NAME, "simulated scan of an old map of four sheets, 0.25 m: 90 points without heights",
     simulate_map, simulated=True)
 """The embedded map."""

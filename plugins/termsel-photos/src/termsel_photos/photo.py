@@ -14,7 +14,7 @@ from termsel_photos.radial import FloatArray
 
 ROLES = ("control", "check", "independent")
 
-NAME = "aerial-photo"
+PHOTO_NAME = "aerial-photo"
 CRS = "EPSG:32633"
 
 SIZE = (3800, 3800)
@@ -45,20 +45,20 @@ ORIGIN = (400000.0, 4000000.0)
 DIGITS = 6
 """Decimals of measured places [px]."""
 
-_POINTS, _SEED, _STEPS = 120, 1971, 50
+_PHOTO_POINTS, _PHOTO_SEED, _ADJUSTING_STEPS = 120, 1971, 50
 
 
 def photo() -> FeatureSet:
     """Return the measured points of the photo: easting, northing in UTM zone 33 and height [m]."""
-    rng = np.random.default_rng(_SEED)
+    rng = np.random.default_rng(_PHOTO_SEED)
     # Ground beyond the image on all sides, so that its corners have points, too.
     reach = 0.62 * SIZE[0] / FOCAL * HEIGHT
-    ground = rng.uniform(-reach, reach, (20 * _POINTS, 3))
+    ground = rng.uniform(-reach, reach, (20 * _PHOTO_POINTS, 3))
     ground[:, 2] = RELIEF * (np.sin(ground[:, 0] / 700.0) + np.cos(ground[:, 1] / 900.0)) / 2
     image = seen(ground)
     inside = ((image > 40) & (image < np.array(SIZE) - 40)).all(axis=1)
-    ground = ground[inside][:_POINTS]
-    image = image[inside][:_POINTS]
+    ground = ground[inside][:_PHOTO_POINTS]
+    image = image[inside][:_PHOTO_POINTS]
     # Rounded: processors differ in the last bits.
     image = (image + NOISE * rng.standard_normal(image.shape)).round(DIGITS)
     roles = tuple(ROLES[i % 3] for i in range(len(image)))
@@ -86,13 +86,13 @@ def seen(ground: FloatArray) -> FloatArray:
     # Brown's distortion acts on measured places, so that the ideal one is inverted by steps.
     k1, k2 = DISTORTION
     # m + m (k1 r^2 + k2 r^4) = ideal.
-    for _ in range(_STEPS):
+    for _ in range(_ADJUSTING_STEPS):
         squared = (distorted**2).sum(axis=1, keepdims=True)
         distorted = ideal / (1.0 + k1 * squared + k2 * squared**2)
     return distorted + CENTRE
 
 
 PHOTO = DatasetSpec(
-    NAME, "simulated aerial photo of hills, 1.2 m: 120 points, with radial distortion", photo,
+    PHOTO_NAME, "simulated aerial photo of hills, 1.2 m: 120 points, with radial distortion", photo,
     simulated=True)
 """The embedded photo."""

@@ -22,10 +22,10 @@ from termsel import (
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
 
-POWERS = (2, 4, 6)
+RADIAL_POWERS = (2, 4, 6)
 """Of the distance from the centre of distortion."""
 
-_STEPS, _CLOSE = 30, 1e-12
+_MAX_STEPS, _CLOSE = 30, 1e-12
 _SHARES = (0.25, 0.5, 0.75, 0.9, 1.0)
 
 _CENTRE = ("Centre of distortion, {} coordinate: in half extents of the control in the image from "
@@ -57,12 +57,13 @@ class Radial(SensorModel):
     @property
     def terms(self) -> tuple[str, ...]:
         """Names of the terms: monomials of line and sample, then the radial ones."""
-        return (*self._plain.terms, *(str(Term("both", "radial", str(power))) for power in POWERS))
+        radial = (str(Term("both", "radial", str(power))) for power in RADIAL_POWERS)
+        return (*self._plain.terms, *radial)
 
     @property
     def axis(self) -> IntArray:
         """Image axis of each term: the distortion acts on both."""
-        on_both = np.full(len(POWERS), 2, dtype=np.intp)
+        on_both = np.full(len(RADIAL_POWERS), 2, dtype=np.intp)
         return np.concatenate([self._plain.axis, on_both])
 
     def equations(self, features: FeatureSet) -> Equations:
@@ -75,7 +76,7 @@ class Radial(SensorModel):
         away = points.image - self._centre
         squared = (away**2).sum(axis=1)[:, None, None]
         # The unknown k moved to the side of the polynomials: P - (m - c) (k1 r^2 + ...) = m.
-        radial = -away[:, :, None] * squared ** (np.array(POWERS) // 2)
+        radial = -away[:, :, None] * squared ** (np.array(RADIAL_POWERS) // 2)
         columns = self._plain.blocks(points.ground).line
         undistorted = np.einsum("ab,ne->nabe", np.eye(2), columns).reshape(len(columns), 2, -1)
         rows = np.concatenate([undistorted, radial], axis=2)
@@ -94,13 +95,14 @@ class Radial(SensorModel):
         squared = (away**2).sum(axis=-1)
         # With m - c = s (P - c): s (1 + k1 (s r)^2 + ...) = 1.
         k = [coefficients[..., n + i, None] * squared ** (power // 2)
-             for i, power in enumerate(POWERS)]
+             for i, power in enumerate(RADIAL_POWERS)]
         s = np.ones(squared.shape)
         # Far from the control the distortion may overflow, or have no place at all.
         with np.errstate(all="ignore"):
-            for _ in range(_STEPS):
-                value = s - 1.0 + sum(kp * s ** (p + 1) for kp, p in zip(k, POWERS, strict=True))
-                slope = 1.0 + sum((p + 1) * kp * s**p for kp, p in zip(k, POWERS, strict=True))
+            pairs = tuple(zip(k, RADIAL_POWERS, strict=True))
+            for _ in range(_MAX_STEPS):
+                value = s - 1.0 + sum(kp * s ** (p + 1) for kp, p in pairs)
+                slope = 1.0 + sum((p + 1) * kp * s**p for kp, p in pairs)
                 step = value / slope
                 s = s - step
                 if not (np.abs(step) > _CLOSE).any():
@@ -110,7 +112,7 @@ class Radial(SensorModel):
             # Only where the distortion grows with the radius up to there is there one such place.
             for share in _SHARES:
                 imaged &= 1.0 + sum((p + 1) * kp * (share * s) ** p
-                                    for kp, p in zip(k, POWERS, strict=True)) > 0
+                                    for kp, p in zip(k, RADIAL_POWERS, strict=True)) > 0
         return np.asarray(self._centre + np.where(imaged, s, np.nan)[..., None] * away)
 
 

@@ -24,7 +24,7 @@ from termsel_rpc.local import CANDIDATE as LOCAL
 from termsel_rpc.local import RpcField
 from termsel_rpc.problem import RECIPE, Ce90
 from termsel_rpc.rigorous import PushbroomRefine
-from termsel_rpc.simulated import CANDIDATES, MATCHES, candidates, matches
+from termsel_rpc.simulated import DATASET_NAME, MATCHES, candidates, matches
 
 if TYPE_CHECKING:
     from termsel import Criterion, Method, Recipe, SensorModel
@@ -61,9 +61,9 @@ def termsel_methods() -> Iterable[Method]:
 def termsel_datasets() -> Iterable[DatasetSpec]:
     """Return candidates of mixed quality."""
     return [DatasetSpec(
-        CANDIDATES, "simulated IKONOS scene of Hamedan, 1 m: 240 points; of 160 for control and "
+        DATASET_NAME, "simulated IKONOS scene of Hamedan, 1 m: 240 points; of 160 for control and "
                     "check 40 are inexact and 24 blunders (after Konugurthi et al. "
-                    "2016)", partial(kept_features, "termsel_rpc", CANDIDATES),
+                    "2016)", partial(kept_features, "termsel_rpc", DATASET_NAME),
         simulated=True), DatasetSpec(
         MATCHES, "simulated Cartosat-1 scene, 2.5 m: 100 points of image matching, 30 of them "
                  "wrong (after Konugurthi et al. 2016); 100 independent ones",

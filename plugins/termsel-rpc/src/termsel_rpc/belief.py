@@ -35,12 +35,12 @@ from numpy.typing import NDArray
 
 from termsel_rpc.refinement import FloatArray
 
-KINDS = ("as delivered", "shift", "drift", "affine")
+CORRECTION_KINDS = ("as delivered", "shift", "drift", "affine")
 
 PRIOR = (0.25, 0.5, 0.125, 0.125)
 """How likely each kind is before anything is measured."""
 
-USUAL = 0.5
+USUAL_PX = 0.5
 """Usual standard deviation of a measurement [px]."""
 
 SIZES = 2.0 ** np.arange(-1.0, 11.0)
@@ -63,13 +63,13 @@ NEVER = 50.0
 class Grid:
     """Solutions before anything is measured: standard deviations of coefficients, and of noise."""
 
-    kind: FloatArray  # (c,): number in KINDS
+    kind: FloatArray  # (c,): number in `CORRECTION_KINDS`
     scales: FloatArray  # (c, 6): of line, then of sample [px]
     noise: FloatArray  # (c,) [px]
     log: FloatArray  # (c,): logarithm of the prior probability
 
 
-def grid(kinds: Iterable[int], usual: float = USUAL) -> Grid:
+def grid(kinds: Iterable[int], usual: float = USUAL_PX) -> Grid:
     """Return the solutions of some kinds, for a usual noise [px]."""
     of_kinds = []
     # Normal in the logarithm of the noise, and normalised over the grid.
@@ -144,7 +144,7 @@ class Belief:
     def kinds(self) -> FloatArray:
         """Probability of each kind, shape (4,)."""
         of, share, _, _ = self._cells
-        return np.bincount(of.kind.astype(int), share, len(KINDS)).astype(np.float64)
+        return np.bincount(of.kind.astype(int), share, len(CORRECTION_KINDS)).astype(np.float64)
 
     @cached_property
     def _solutions(self) -> FloatArray:

@@ -28,16 +28,16 @@ from termsel import (
     line_normals,
     row_weights,
 )
-from termsel_rpc.belief import KINDS, USUAL, Belief, grid
+from termsel_rpc.belief import CORRECTION_KINDS, USUAL_PX, Belief, grid
 from termsel_rpc.image_space import RpcAffine
 from termsel_rpc.refinement import FloatArray
 
 BoolArray = np.ndarray[tuple[int], np.dtype[np.bool_]]
 
-FEW = 17
+MAX_TESTED_HERE = 17
 """Number of features from which on blunders are left to the test by regularised polynomials."""
 
-MOST = 1 / 3
+MAX_BLUNDER_SHARE = 1 / 3
 """Largest share of blunders."""
 
 SURE = 0.99
@@ -60,11 +60,11 @@ class Correction(Estimator):
     Parameters
     ----------
     kinds : tuple of int
-        Numbers in `KINDS`.
+        Numbers in `CORRECTION_KINDS`.
     """
 
     name = "rpc-correction"
-    kinds: tuple[int, ...] = tuple(range(len(KINDS)))
+    kinds: tuple[int, ...] = tuple(range(len(CORRECTION_KINDS)))
 
     @property
     def options(self) -> dict[str, Any]:
@@ -153,7 +153,7 @@ def belief(model: RpcAffine, features: FeatureSet, scaling: Scaling,
     equations = model.equations(scaled)
     sigma = features.points.sigma
     rows = equations.A @ to_terms(model, scaling) * scaling.image_scale
-    usual = USUAL if sigma is None else float(np.median(sigma))
+    usual = USUAL_PX if sigma is None else float(np.median(sigma))
     return Belief(rows, equations.b * scaling.image_scale, equations.feature,
                   grid(kinds, usual)), row_weights(scaled)
 
@@ -222,9 +222,10 @@ class CorrectedRpc(Method):
         """Return how likely each kind is, and how well the corners are known."""
         assert isinstance(fitted.model, RpcAffine)
         believed, _ = belief(fitted.model, fitted.control.take(fitted.used), fitted.scaling,
-                             tuple(range(len(KINDS))))
+                             tuple(range(len(CORRECTION_KINDS))))
         rpc = fitted.model.rpc
-        chances = [f"{name} {share:.2f}" for name, share in zip(KINDS, believed.kinds, strict=True)]
+        chances = [f"{name} {share:.2f}"
+                   for name, share in zip(CORRECTION_KINDS, believed.kinds, strict=True)]
         likeliest = int(np.argmax(believed.kinds))
         shift = believed.coefficients[[0, 3]]
         corners = np.array([[1.0, -1, -1], [1.0, -1, 1], [1.0, 1, -1], [1.0, 1, 1]])
@@ -239,7 +240,7 @@ class CorrectedRpc(Method):
 
     def suspects(self, control: FitData) -> Suspects | None:
         """Return blunders among few features, by what all others and the RPC predict."""
-        return None if len(control) >= FEW else _suspects(control, _model_of(control))
+        return None if len(control) >= MAX_TESTED_HERE else _suspects(control, _model_of(control))
 
 
 _WORDS = ("no correction", "a shift", "a drift along the lines", "an affine correction")
@@ -258,10 +259,10 @@ def _suspects(control: FitData, model: RpcAffine) -> Suspects | None:
     one feature of all is believed to be one.
     """
     n = len(control)
-    max_blunders = int(MOST * len(control))
+    max_blunders = int(MAX_BLUNDER_SHARE * len(control))
     if not max_blunders:
         return None
-    full, _ = belief(model, control.features, control.scaling, tuple(range(len(KINDS))))
+    full, _ = belief(model, control.features, control.scaling, tuple(range(len(CORRECTION_KINDS))))
     reach = np.log(np.linalg.norm(model.rpc.image_scale) / NEAREST)
     logs: dict[tuple[int, ...], float] = {(): full.log}
 

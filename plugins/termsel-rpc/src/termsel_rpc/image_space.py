@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from termsel import Equations, FeatureSet, Option, Rpc, Term, TermselError, read_rpc
 from termsel_rpc.parametric import along_lines
 from termsel_rpc.refinement import FloatArray, Refinement
-from termsel_rpc.simulated import CANDIDATES, RPC_FILE
+from termsel_rpc.simulated import DATASET_NAME, RPC_FILE
 
 RPC = Option("rpc", "", "Required: the RPC to refine, as a file in any form that termsel reads, or "
-                        f"{CANDIDATES} for that of the embedded data set. A result contains the "
+                        f"{DATASET_NAME} for that of the embedded data set. A result contains the "
                         "RPC itself.")
 
 LINE_FORM = Option("line_form", "vector", "Equations of control lines: vector, the ground "
@@ -27,7 +27,7 @@ LINE_FORM = Option("line_form", "vector", "Equations of control lines: vector, t
 
 _AXES = ("line", "sample")
 
-_ACROSS, _MARGIN, _LOST = 12, 0.1, 0.01
+_EDGE_PLACES, _EDGE_MARGIN, _LOST = 12, 0.1, 0.01
 """Places along each edge of an RPC's area where another one is fitted, the share of the image
 beyond its edges, and the largest difference [px]."""
 
@@ -71,7 +71,7 @@ class RpcShift(Refinement):
         named = self.options["rpc"]
         self._rpc = None
         self._file = named
-        if named == CANDIDATES:
+        if named == DATASET_NAME:
             self._rpc = read_rpc(RPC_FILE)
         elif named.startswith("{"):
             self._rpc, self._file = _from_record(named)
@@ -92,7 +92,7 @@ class RpcShift(Refinement):
         """
         if self._rpc is None:
             raise TermselError(f"model {self.name!r} requires the RPC to refine",
-                               hint=f"Give its file with --rpc FILE. --set rpc={CANDIDATES} is "
+                               hint=f"Give its file with --rpc FILE. --set rpc={DATASET_NAME} is "
                                     "that of the embedded data set.")
         return self._rpc
 
@@ -194,13 +194,13 @@ def _absorbed(rpc: Rpc, linear: FloatArray, shifted: Rpc) -> Rpc | None:
     def places(across: int) -> tuple[FloatArray, FloatArray]:
         steps = np.linspace(-1.0, 1.0, across)
         unit = np.stack([axis.ravel() for axis in np.meshgrid(steps, steps, steps)], axis=1)
-        away = unit[:, :2] * half * (1.0 + _MARGIN)
+        away = unit[:, :2] * half * (1.0 + _EDGE_MARGIN)
         ground = rpc.locate(away + rpc.image_offset,
                             unit[:, 2] * rpc.ground_scale[2] + rpc.ground_offset[2])
         is_finite = np.isfinite(ground).all(axis=1)
         return ground[is_finite], away[is_finite] @ linear.T
 
-    ground, targets = places(_ACROSS)
+    ground, targets = places(_EDGE_PLACES)
     columns = _monomials(rpc, ground)
     if len(ground) < 4 * len(columns.T):
         return None
@@ -212,7 +212,7 @@ def _absorbed(rpc: Rpc, linear: FloatArray, shifted: Rpc) -> Rpc | None:
             columns * weights[:, None], targets[:, axis], rcond=None)[0]))
     refined = replace(shifted, line_numerator=numerators[0], sample_numerator=numerators[1])
     # Between the places of the fit, where nothing was adjusted, it has to agree, too.
-    between, targets_between = places(_ACROSS - 1)
+    between, targets_between = places(_EDGE_PLACES - 1)
     lost = np.abs(refined.project(between) - shifted.image_offset - targets_between)
     return refined if lost.size and lost.max() <= _LOST else None
 

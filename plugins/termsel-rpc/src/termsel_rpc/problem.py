@@ -19,7 +19,7 @@ from termsel import (
     feature_options,
 )
 from termsel_rpc.refinement import FloatArray
-from termsel_rpc.simulated import CANDIDATES
+from termsel_rpc.simulated import DATASET_NAME
 
 JUDGED_BY = Option(
     "judged_by", "all", "Points of the criterion: all control candidates and selection points, as "
@@ -60,7 +60,7 @@ def select_gcps(inputs: ProblemData) -> Problem:
 RECIPE = Recipe(
     "rpc-gcps", "Selection of m of n control points for the refinement of a vendor's RPC or a "
                 "rigorous model.",
-    select_gcps, model="rpc-drift", model_options={"rpc": CANDIDATES}, dataset=CANDIDATES,
+    select_gcps, model="rpc-drift", model_options={"rpc": DATASET_NAME}, dataset=DATASET_NAME,
     criterion="check-rmse", solver="ga-steady", second="uncovered",
     options=(JUDGED_BY, *feature_options(min_features=6, max_features=6, max_uncovered=0.5)),
     source="Konugurthi et al. 2016")

@@ -28,7 +28,7 @@ POSITION = ("ahead", "starboard", "down")
 ATTITUDE = ("roll", "pitch", "yaw")
 
 # Of the scaled image unit: some px.
-_STEP = 1e-3
+_DERIVATIVE_STEP = 1e-3
 
 
 class PushbroomRefine(Refinement):
@@ -138,9 +138,9 @@ class PushbroomRefine(Refinement):
     def _derivatives(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
         """Return the derivatives of image positions by the coefficients, shape (n, 2, k)."""
         # Central differences, all terms at once.
-        steps = _STEP * np.eye(len(coefficients))
+        steps = _DERIVATIVE_STEP * np.eye(len(coefficients))
         ahead, behind = (self.project(coefficients + sign * steps, ground) for sign in (1, -1))
-        return np.asarray(np.moveaxis(ahead - behind, 0, -1) / (2 * _STEP))
+        return np.asarray(np.moveaxis(ahead - behind, 0, -1) / (2 * _DERIVATIVE_STEP))
 
     def _biased(self, coefficients: FloatArray) -> Pushbroom:
         """Return the scanner with separate biases for each point, shape (n, k)."""

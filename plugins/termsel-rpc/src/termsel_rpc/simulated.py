@@ -10,10 +10,10 @@ import numpy as np
 from termsel import FeatureSet, simulate_scene
 from termsel.simulate import Angle, Pushbroom, scene_truth
 
-CANDIDATES = "hamedan-candidates"
+DATASET_NAME = "hamedan-candidates"
 SCENE = "ikonos-hamedan"
 MATCHES = "cartosat-matches"
-NOMINAL = {CANDIDATES: SCENE, MATCHES: "cartosat-hyderabad"}
+NOMINAL = {DATASET_NAME: SCENE, MATCHES: "cartosat-hyderabad"}
 """Data sets with a vendor's geometry, and the scenes they are of."""
 
 RPC_FILE = Path(__file__).with_name("hamedan_vendor.RPB")
@@ -29,7 +29,7 @@ _GOOD_NOISE, _INEXACT_NOISE = 0.5, 2.0
 _NEAREST, _FARTHEST = 5.0, 40.0
 
 
-def nominal_sensor(data_set: str = CANDIDATES) -> Pushbroom:
+def nominal_sensor(data_set: str = DATASET_NAME) -> Pushbroom:
     """Return the scanner as its vendor knows it: with attitude errors, and without jitter."""
     true = scene_truth(NOMINAL[data_set]).sensor
     # Time from the middle of the scene to its end [s].

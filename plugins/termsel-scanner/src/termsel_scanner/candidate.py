@@ -25,10 +25,10 @@ OF_RADAR = ("burst", "bistatic")
 CAMERAS = ("frame", "panoramic")
 """What the column says of photos, which are no scanners' images."""
 
-FEW = 2
+MAX_UNTELLING_POINTS = 2
 """Points of a radar that do not show their own error."""
 
-FEWEST, MOST = 3, 12
+MIN_SCANNER_POINTS, MAX_SCANNER_POINTS = 3, 12
 """Numbers of points for which it is: with more, those tell as much as the physics."""
 
 
@@ -49,8 +49,9 @@ class NamedScanner(Method):
             return "the points are said to be of a photo"
         if names_annotation(named):
             return "the points are said to be of a radar"
-        if len(features.lines) or len(features.points) < FEWEST:
-            return f"it is for {FEWEST} to {MOST} control points, without lines"
+        if len(features.lines) or len(features.points) < MIN_SCANNER_POINTS:
+            return (f"it is for {MIN_SCANNER_POINTS} to {MAX_SCANNER_POINTS} control points, "
+                    "without lines")
         if features.without_height() or features.crs in ("", "local"):
             return "it needs heights and a CRS"
         _scanner(named)
@@ -146,7 +147,7 @@ class NamedRadar(Method):
         named = (f"The points name the annotation {fitted.model.source}, with orbit, timing and "
                  "ranges.")
         points = fitted.control.take(fitted.used).points
-        if len(points) > FEW or points.sigma is not None:
+        if len(points) > MAX_UNTELLING_POINTS or points.sigma is not None:
             return named
         return (f"{named} So few points do not show their own error: it is taken as about half a "
                 "pixel. If you know it, give it in the columns sigma_line and sigma_sample.")
@@ -190,7 +191,7 @@ def sensor_of(control: FitData) -> str:
 
 SCANNER = NamedScanner("named-scanner", "the physical scanner that the points name",
                        short="physical scanner", estimator=RobustFit(), has_prior=True,
-                       from_one=True, max_features=MOST)
+                       from_one=True, max_features=MAX_SCANNER_POINTS)
 
 RADAR = NamedRadar("named-radar", "the radar whose annotation the points name", short="radar",
                    estimator=ShiftFit(), has_prior=True, from_one=True)

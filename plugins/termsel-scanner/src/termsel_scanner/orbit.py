@@ -18,7 +18,7 @@ FloatArray = NDArray[np.float64]
 MAJOR, ECCENTRICITY = 6378137.0, 0.00669437999014
 GRAVITY, TURNING = 3.986004418e14, 7.292115e-5
 
-ROUNDS, STEP, CLOSE, FAR = 12, 1e-3, 1e-10, 200.0
+SECANT_STEPS, FIRST_STEP, NO_SLOPE, FAR = 12, 1e-3, 1e-10, 200.0
 """Steps of the secant method to the time at which a place is seen, the first one's length, the
 share of the camera's slope that counts as none, and the longest time [s]."""
 
@@ -114,16 +114,16 @@ def seen(cameras: Cameras, target: FloatArray, place: FloatArray, axes: FloatArr
         # Cameras by which others are differentiated see all at nearly the same times.
         first = seen(cameras.first(), target, place, axes)[0, :, 0]
         time += np.where(np.isfinite(first), first, 0.0)
-    step = np.full_like(time, STEP)
+    step = np.full_like(time, FIRST_STEP)
     with np.errstate(all="ignore"):
         looked = view(time)
-        for _ in range(ROUNDS):
+        for _ in range(SECANT_STEPS):
             time = np.clip(time + step, -FAR, FAR)
             before, looked = looked[..., 0], view(time)
             at = looked[..., 0]
             change = at - before
             step = np.where(np.abs(change) > 1e-13, -at * step / change, 0.0)
-            if np.abs(at).max(initial=0.0) < CLOSE:
+            if np.abs(at).max(initial=0.0) < NO_SLOPE:
                 break
         image = np.stack([time, looked[..., 1]], axis=2)
         image[~(np.abs(at) < 1e-6)] = np.nan

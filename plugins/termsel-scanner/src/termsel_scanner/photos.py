@@ -58,7 +58,7 @@ RELIEF = 2e-3
 """Heights off a plane (root of the sum of squares) by the spread of the control, up to which they
 tell nothing: half of it, by the spread in the image, is as much as can be measured."""
 
-FEWEST, MOST = 6, 20
+MIN_PHOTO_POINTS, MAX_PHOTO_POINTS = 6, 20
 """Numbers of points for which the candidates are: more tell as much as the physics."""
 
 AMISS = 2.0
@@ -300,8 +300,9 @@ class FewOfPhoto(Method):
     def declines(self, control: FitData) -> str | None:
         """Return why the features are not for a photo."""
         features = control.features
-        if len(features.lines) or len(features.points) < FEWEST:
-            return f"it is for {FEWEST} to {MOST} control points, without lines"
+        if len(features.lines) or len(features.points) < MIN_PHOTO_POINTS:
+            return (f"it is for {MIN_PHOTO_POINTS} to {MAX_PHOTO_POINTS} control points, without "
+                    "lines")
         # Without relief tilt and focal length are not told apart.
         if features.without_height():
             return "it needs heights"
@@ -378,7 +379,8 @@ class FewOfPhoto(Method):
 
 CANDIDATES = (
     FewOfPhoto("frame-camera", "a frame camera", short="frame camera", estimator=RobustFit(),
-               has_prior=True, max_features=MOST, camera=Frame),
+               has_prior=True, max_features=MAX_PHOTO_POINTS, camera=Frame),
     FewOfPhoto("panoramic-camera", "a panoramic camera", short="panoramic camera",
-               estimator=RobustFit(), has_prior=True, max_features=MOST, camera=Panoramic))
+               estimator=RobustFit(), has_prior=True, max_features=MAX_PHOTO_POINTS,
+               camera=Panoramic))
 """Cameras of which nothing is known."""

@@ -45,10 +45,10 @@ OF_LATTICE = 1.0
 """Distance of points from where metadata see them, up to which they are a lattice that was computed
 from these [px]: lattices of radar images differ by up to half a pixel."""
 
-STEP = 1e-4
+DERIVATIVE_STEP = 1e-4
 """Change of a term by which image positions are differentiated."""
 
-ROUNDS, CLOSE = 100, 1e-3
+MAX_STEPS, CONVERGED_GAIN = 100, 1e-3
 """Most steps of a fit; it has converged where a step would gain less than this share."""
 
 BEND, AHEAD = 0.1, 0.4
@@ -106,10 +106,10 @@ class Physical(SensorModel):
 
     def slopes(self, values: FloatArray, ground: FloatArray) -> FloatArray:
         """Return derivatives of image positions by the terms, shape (n, 2, k)."""
-        steps = STEP * np.eye(len(values))
+        steps = DERIVATIVE_STEP * np.eye(len(values))
         # Central differences, of all terms in one call.
         both = self.image_of(np.concatenate([values + steps, values - steps]), ground)
-        return np.moveaxis(both[:len(values)] - both[len(values):], 0, -1) / (2 * STEP)
+        return np.moveaxis(both[:len(values)] - both[len(values):], 0, -1) / (2 * DERIVATIVE_STEP)
 
     def prior(self) -> FloatArray:
         """Return the weights of the pseudo-observations that terms are 0, shape (k,)."""
@@ -195,7 +195,7 @@ class Physical(SensorModel):
         now, away = self.cost(features, values)
         if not np.isfinite(now):
             return None
-        while steps < ROUNDS and damping < 1e8:
+        while steps < MAX_STEPS and damping < 1e8:
             # Weights of the reweighted squares whose gradient is that of Huber's loss.
             turned = np.sqrt(HUBER / np.maximum(np.linalg.norm(away, axis=1), HUBER))[:, None]
             A = (self.slopes(values, points.ground) * (turned * weight / unit)[..., None]).reshape(
@@ -220,7 +220,7 @@ class Physical(SensorModel):
             if not there < now:
                 damping *= 10.0
                 continue
-            converged = now - there < CLOSE * (1.0 + now)
+            converged = now - there < CONVERGED_GAIN * (1.0 + now)
             values = values + full
             now = there
             away = left

@@ -21,13 +21,13 @@ LIGHT = 299792458.0
 
 TERMS = ("azimuth", "range", "azimuth-rate", "range-rate")
 
-SHIFT, RATE = 30.0, 2.0
+SHIFT, RATE_METRES = 30.0, 2.0
 """Standard deviations of a shift in azimuth and in range [m], and of what a shift changes by from
 the middle of the image to its edge [m]. Orbits of products for near real time are metres off, the
 troposphere delays echoes by 2 to 4 m, and a processor may leave out the delay by which pulses
 arrive after they are sent. The shift is given more, so that a single point corrects it."""
 
-ROUNDS, CLOSE = 20, 1e-10
+NEWTON_STEPS, LAST_STEP = 20, 1e-10
 """Most Newton steps to the time of zero Doppler, and the step at which they end [s]."""
 
 DEGREES = 1e-5
@@ -137,7 +137,7 @@ class Radar(Physical):
         # How far a place is from the middle of the image, in parts of its half.
         middle = (np.array(stated.size) - 1.0) / 2.0
         aside = (image - middle) / np.maximum(middle, 1.0)
-        shift = SHIFT * values[:, None, :2] + RATE * values[:, None, 2:] * aside      # [m]
+        shift = SHIFT * values[:, None, :2] + RATE_METRES * values[:, None, 2:] * aside      # [m]
         shifted = image + shift / spacing
         return np.asarray(known(self.scaling).image(shifted.reshape(-1, 2)).reshape(shifted.shape))
 
@@ -190,7 +190,7 @@ class Radar(Physical):
         ground = griddata(known, places[visible], image, rescale=True)
         nearest = griddata(known, places[visible], image, method="nearest", rescale=True)
         ground = np.where(np.isnan(ground), nearest, ground)
-        for _ in range(ROUNDS):
+        for _ in range(NEWTON_STEPS):
             missing = image - self.unshifted(ground)
             if not np.abs(missing).max(initial=0.0) > 1e-9:
                 break
@@ -243,14 +243,14 @@ def zero_doppler(annotation: Annotation, targets: FloatArray,
     last = annotation.times[-1]
     time = np.full(len(targets), annotation.size[0] * annotation.line_interval / 2.0)
     with np.errstate(all="ignore"):
-        for _ in range(ROUNDS):
+        for _ in range(NEWTON_STEPS):
             sight = targets - orbit(time)
             velocity = motion(time)
             doppler = (sight * velocity).sum(axis=1)
             slope = (sight * acceleration(time)).sum(axis=1) - (velocity**2).sum(axis=1)
             step = -doppler / slope
             time = np.clip(time + step, first, last)
-            if not (np.abs(step) > CLOSE).any():
+            if not (np.abs(step) > LAST_STEP).any():
                 break
         position = orbit(time)
         velocity = motion(time)

@@ -14,7 +14,7 @@ from termsel_scanner.sensors import SENSORS, Sensor, sensor_named
 RATE, CHANGE = 5e-5, 1e-6
 """Standard deviations of rates of attitude [rad/s], and of how these change [rad/s^2]."""
 
-YAW = 3.0
+YAW_DEGREES = 3.0
 """Standard deviation of the angle between track and scan [deg]: yaw steering takes up to 4."""
 
 SPEED = 6371e3
@@ -80,7 +80,7 @@ class Scanner(Physical):
                        ascending=self.options["track"] == "ascending")
             + np.radians(sensor.heading_sigma) * x["heading"],
             view["side"], view["ahead"] - np.tan(np.radians(sensor.forward)), altitude,
-            np.radians(YAW) * x["yaw"],
+            np.radians(YAW_DEGREES) * x["yaw"],
             RATE * values[:, 9:12], CHANGE * values[:, 12:15])
         found = seen(cameras, geocentric(self.geographic(ground)), place, axes)
         # Of an unknown sensor the pixel is about the control's on the ground by that in the image.

@@ -20,11 +20,11 @@ ANGLE, TRACKED = 4e-4, 1e-4
 """Standard deviation of a bias of roll and pitch [rad], without and with a star tracker: Spot Image
 states 350 m and 50 m on the ground, of which twice the latter is taken."""
 
-YAW, RATE, PERIOD, PIXEL = 5e-4, 5e-6, 2e-5, 2e-4
+YAW_SIGMA, RATE_SIGMA, PERIOD, PIXEL = 5e-4, 5e-6, 2e-5, 2e-4
 """Standard deviations of a bias of yaw [rad], of rates [rad/s], and of line period and pixel, as
 parts of these."""
 
-ROUNDS, STEP, CLOSE = 20, 0.5, 1e-9
+SECANT_STEPS, FIRST_STEP, NO_SLOPE = 20, 0.5, 1e-9
 """Steps of the secant method to the time at which a place is seen, the first one's length [s], and
 the slope along the track that counts as none."""
 
@@ -84,8 +84,8 @@ class TrackedScanner(Physical):
         target = geocentric(self.geographic(ground))
         x = dict(zip(TERMS, values.T[..., None], strict=True))                       # (p, 1) each
         angle = TRACKED if said.tracked else ANGLE
-        bias = [YAW * x["yaw"], angle * x["pitch"], angle * x["roll"]]
-        rate = [RATE * x[f"{name}-rate"] for name in ("yaw", "pitch", "roll")]
+        bias = [YAW_SIGMA * x["yaw"], angle * x["pitch"], angle * x["roll"]]
+        rate = [RATE_SIGMA * x[f"{name}-rate"] for name in ("yaw", "pitch", "roll")]
         samples = np.array(said.detectors)
         looks = np.tan(said.looks)
         order = np.argsort(looks[:, 1])  # as np.interp needs them
@@ -106,15 +106,15 @@ class TrackedScanner(Physical):
             return seen - np.interp(slope, across, ahead), slope
 
         time = np.zeros((len(values), len(target)))
-        step = np.full_like(time, STEP)
+        step = np.full_like(time, FIRST_STEP)
         with np.errstate(all="ignore"):
             off = view(time)[0]
-            for _ in range(ROUNDS):
+            for _ in range(SECANT_STEPS):
                 time = time + step
                 before, off = off, view(time)[0]
                 change = off - before
                 step = np.where(np.abs(change) > 1e-14, -off * step / change, 0.0)
-                if np.abs(off).max(initial=0.0) < CLOSE:
+                if np.abs(off).max(initial=0.0) < NO_SLOPE:
                     break
             slope = view(time)[1]
         line = said.line + time / (said.period * (1.0 + PERIOD * x["period"]))

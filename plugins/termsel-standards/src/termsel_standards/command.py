@@ -13,19 +13,19 @@ if TYPE_CHECKING:
     from termsel_standards.statement import PredictedStatement, Statements
 
 _PATH = click.Path(path_type=Path)
-_METRES = click.FloatRange(0, 1e6, min_open=True)
+_POSITIVE_METRES = click.FloatRange(0, 1e6, min_open=True)
 
 
 @click.command("accuracy")
 @click.argument("source", metavar="DIR|TABLE", type=_PATH)
-@click.option("--survey-sigma", metavar="METRES", type=_METRES,
+@click.option("--survey-sigma", metavar="METRES", type=_POSITIVE_METRES,
               help="Standard deviation of each surveyed horizontal coordinate of the check points, "
                    "if they have no columns sigma_x and sigma_y.")
-@click.option("--survey-sigma-z", metavar="METRES", type=_METRES,
+@click.option("--survey-sigma-z", metavar="METRES", type=_POSITIVE_METRES,
               help="Standard deviation of their heights, if they have no column sigma_z.")
-@click.option("--class", "horizontal", metavar="METRES", type=_METRES,
+@click.option("--class", "horizontal", metavar="METRES", type=_POSITIVE_METRES,
               help="Horizontal accuracy class that the data were to meet.")
-@click.option("--class-z", "vertical", metavar="METRES", type=_METRES,
+@click.option("--class-z", "vertical", metavar="METRES", type=_POSITIVE_METRES,
               help="Vertical accuracy class that the data were to meet.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON alone on stdout.")
 def accuracy(source: Path, survey_sigma: float | None, survey_sigma_z: float | None,

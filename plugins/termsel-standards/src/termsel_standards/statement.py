@@ -22,7 +22,7 @@ MOST_POINTS, AREA_STEP, POINT_STEP = 120, 1000.0, 10
 """ASPRS, table C.1: 10 points more for every 1,000 km2 above the first, 120 at most."""
 MEAN = 0.25
 """ASPRS: largest mean error, as a share of the RMSE of the class."""
-QUADRANT, APART = 0.2, 0.1
+QUADRANT, MIN_DISTANCE = 0.2, 0.1
 """NSSDA, appendix 3-C: least share of points in a quadrant, and distance over the diagonal."""
 # Errors that a test of normality needs.
 _FEWEST = 3
@@ -99,8 +99,8 @@ class Distribution:
         faults = []
         if self.quadrants and min(self.quadrants) < QUADRANT * self.points:
             faults.append(f"a quadrant has fewer than {QUADRANT:.0%} of the points")
-        if self.apart is not None and self.apart < APART:
-            faults.append(f"two points are closer than {APART:.0%} of the diagonal")
+        if self.apart is not None and self.apart < MIN_DISTANCE:
+            faults.append(f"two points are closer than {MIN_DISTANCE:.0%} of the diagonal")
         return tuple(faults)
 
 

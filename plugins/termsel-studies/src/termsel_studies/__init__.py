@@ -29,5 +29,5 @@ def termsel_parts() -> Iterable[Part]:
     from termsel_studies.outlines import map_of
     from termsel_studies.report import FILES, report, summary, write
 
-    return [Part("study", StudyOutput((ioh.FOLDER,), ioh.write)),
+    return [Part("study", StudyOutput((ioh.IOH_FOLDER,), ioh.write)),
             Part("study-map", map_of), Part("study", StudyOutput(FILES, write, summary, report))]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from termsel.toolkit import counted
 from termsel.toolkit.studies import MEASURES, Row
 from termsel_studies.groups import Groups
-from termsel_studies.significance import FEWEST, SIGNIFICANCE, Comparison, effect_size
+from termsel_studies.significance import MIN_INSTANCES, SIGNIFICANCE, Comparison, effect_size
 from termsel_studies.summaries import quantiles
 
 _MOST_NAMED = 6
@@ -50,7 +50,7 @@ def _single(groups: Groups) -> list[str]:
     if number:
         of_all = "" if number == total else f"{number} of "
         sentences = [f"All methods ran on {of_all}{counted(total, 'instance')}; a test over "
-                     f"instances needs at least {FEWEST}. What follows is valid for "
+                     f"instances needs at least {MIN_INSTANCES}. What follows is valid for "
                      f"{'this one' if number == 1 else 'these'} alone."]
     else:
         sentences = ["No instance was run with all methods, so nothing is compared."]

@@ -25,7 +25,7 @@ _DASHES = ([1, 0], [6, 3], [2, 2])
 _MOST_PANELS = 12
 """Instances whose convergence is drawn: more are too small to be read."""
 
-_STEPS = 60
+_BUDGETS_DRAWN = 60
 """Budgets at which convergence is drawn."""
 
 
@@ -105,7 +105,8 @@ def convergence(groups: Groups) -> Figure:
             traces = [record.trace for record in runs.records]
             first = min((trace[0][0] for trace in traces if trace), default=longest)
             # Budgets evenly in the logarithm: most improvements come early.
-            budgets = np.unique(np.geomspace(max(first, 1), max(longest, first, 1), _STEPS).round())
+            budgets = np.unique(np.geomspace(max(first, 1), max(longest, first, 1),
+                                             _BUDGETS_DRAWN).round())
             rows += [{"instance": instance, "method": method, "evaluations": budget, "low": low,
                       "median": median, "high": high}
                      for budget, low, median, high in bands(traces, budgets.tolist())

@@ -13,7 +13,7 @@ from termsel.toolkit import write_text
 from termsel.toolkit.studies import CellRecord, file_word
 from termsel_studies.groups import Groups, group, length
 
-FOLDER = "ioh"
+IOH_FOLDER = "ioh"
 
 FORMAT = "0.3.5"
 """Version of the format, as IOHexperimenter numbers it."""
@@ -53,9 +53,9 @@ def write(study: Study, folder: Path) -> list[Path]:
         return []
     files = dict(ioh_files(group(study.rows, study.records, study.spec.measure)))
     for name, text in files.items():
-        (folder / FOLDER / name).parent.mkdir(parents=True, exist_ok=True)
-        write_text(folder / FOLDER / name, text)
-    return [folder / FOLDER] if files else []
+        (folder / IOH_FOLDER / name).parent.mkdir(parents=True, exist_ok=True)
+        write_text(folder / IOH_FOLDER / name, text)
+    return [folder / IOH_FOLDER] if files else []
 
 
 def _data(records: list[CellRecord]) -> str:

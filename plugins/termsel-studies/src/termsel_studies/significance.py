@@ -16,7 +16,7 @@ from termsel_studies.summaries import quantiles
 SIGNIFICANCE = 0.05
 """Significance level of all tests."""
 
-FEWEST = 5
+MIN_INSTANCES = 5
 """Instances below which no test over instances is made: Wilcoxon's test of 5 pairs ends at 0.06."""
 
 
@@ -68,12 +68,12 @@ def compare_methods(methods: Sequence[str], values: FloatArray) -> Comparison | 
     """Return Friedman's test, Wilcoxon's with Holm's correction, and the critical difference.
 
     Values have the shape (instances, methods); lower is better, infinite is a method without a
-    result. None for a single method, or fewer than `FEWEST` instances.
+    result. None for a single method, or fewer than `MIN_INSTANCES` instances.
     """
     from scipy.stats import friedmanchisquare, rankdata
 
     instances, number = values.shape
-    if number < 2 or instances < FEWEST:
+    if number < 2 or instances < MIN_INSTANCES:
         return None
     # Demšar 2006, J. Mach. Learn. Res. 7, sections 3.1.3 and 3.2.
     ranks = rankdata(values, axis=1).mean(axis=0)

@@ -13,9 +13,9 @@ from termsel.toolkit.charts import BLUNDER, EDGE, View, nice
 
 WIDE = 120
 """Width and largest height of the drawing [px of the screen]."""
-MOST = 150
+MAX_ARROWS = 150
 """Arrows drawn, the longest: more are not told apart at this size."""
-_LENGTH, _HEAD, _BELOW = 0.12, 3.0, 16
+_LENGTH, _ARROW_HEAD, _BELOW = 0.12, 3.0, 16
 
 
 def small_map(view: View) -> str:
@@ -36,7 +36,7 @@ def small_map(view: View) -> str:
     longer = _LENGTH * WIDE / median if median > 0 else 0.0
     arrows: dict[str, list[str]] = {role: [] for role in ROLE_COLOURS}
     rings = []
-    for row in rows[:MOST]:
+    for row in rows[:MAX_ARROWS]:
         x = (row["sample"] - first_sample) * pixel
         y = (row["line"] - first_line) * pixel
         arrows[row["role"]].append(_arrow(x, y, row, longer))
@@ -63,8 +63,8 @@ def _arrow(x: float, y: float, row: dict[str, Any], longer: float) -> str:
     dx = row["ds"] * longer
     dy = row["dl"] * longer
     turn = math.atan2(dy, dx)
-    head = "".join(f"M{x + dx:.1f} {y + dy:.1f}l{-_HEAD * math.cos(turn + angle):.1f} "
-                   f"{-_HEAD * math.sin(turn + angle):.1f}" for angle in (-0.5, 0.5))
+    head = "".join(f"M{x + dx:.1f} {y + dy:.1f}l{-_ARROW_HEAD * math.cos(turn + angle):.1f} "
+                   f"{-_ARROW_HEAD * math.sin(turn + angle):.1f}" for angle in (-0.5, 0.5))
     return f"M{x:.1f} {y:.1f}l{dx:.1f} {dy:.1f}{head}"
 
 

@@ -22,7 +22,7 @@ METADATA, MEANS = "croissant.json", "means.json"
 """Files of the package with the description of all sets and their checksums, and with means."""
 
 # The first; no constant of termsel was chosen on these.
-_SEED = 7000
+_FIRST_SEED = 7000
 # Places that the vendor's RPC is fitted to.
 _VENDOR = 400
 # In px.
@@ -47,7 +47,7 @@ def _some(kind: str, counts: tuple[int, ...], **settings: tuple[Any, ...]) -> tu
     sets = []
     for i, count in enumerate(counts):
         of_set = {name: values[i] for name, values in settings.items()}
-        sets.append(SetSettings(f"{kind}-{i + 1}", kind, _SEED + i, count, of_set))
+        sets.append(SetSettings(f"{kind}-{i + 1}", kind, _FIRST_SEED + i, count, of_set))
     return tuple(sets)
 
 

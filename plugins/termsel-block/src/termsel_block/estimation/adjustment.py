@@ -12,7 +12,7 @@ from termsel_block.estimation.steps import CONVERGED, Steps, shrunk, soft
 from termsel_block.estimation.unknowns import Adjusted, Measured, State
 from termsel_block.evidence.factors import log_bayes_factor
 from termsel_block.evidence.growing import TRIED_BELOW, chance_of
-from termsel_block.evidence.integrating import MOST, integrate, unknown
+from termsel_block.evidence.integrating import MAX_INTEGRATED, integrate, unknown
 from termsel_block.evidence.variances import estimated, looser
 from termsel_block.geometry.control import OwnControl
 from termsel_block.geometry.frame import FloatArray
@@ -187,7 +187,7 @@ class _Run(Steps):
         Empty where the variances are known or many.
         """
         state = self.state
-        if not 0 < unknown(state.cameras) <= MOST:
+        if not 0 < unknown(state.cameras) <= MAX_INTEGRATED:
             return []
         # Priors as first guessed: `integrate` takes them off again, and draws the variances itself.
         loose = self.linearised([np.square(camera.prior_sigma) for camera in state.cameras])

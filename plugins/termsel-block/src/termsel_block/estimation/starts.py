@@ -16,7 +16,7 @@ from termsel_block.geometry.cameras import Camera, LinearCamera, PolynomialCamer
 from termsel_block.geometry.control import OwnControl
 from termsel_block.geometry.frame import BoolArray, FloatArray, Frame, IntArray
 from termsel_block.geometry.heights import Heights
-from termsel_block.geometry.physical import LEAST, PhysicalCamera, PhysicalModel
+from termsel_block.geometry.physical import MIN_CONTROL_POINTS, PhysicalCamera, PhysicalModel
 
 LEAST_TIES = 6
 """Ties with known places from which an image without control and RPC gets its first model."""
@@ -108,7 +108,7 @@ def _own(image: ImageInput, frame: Frame) -> Camera | None:
     if image.physical is not None:
         local, position = image.control.points()
         return image.physical.fitted(
-            frame, local, position, image.name) if len(local) >= LEAST else None
+            frame, local, position, image.name) if len(local) >= MIN_CONTROL_POINTS else None
     if len(image.control) < _LEAST_ROWS:
         return None
     measured = image.control.value[:, None] * image.control.normal
@@ -315,5 +315,5 @@ def _refuse(images: Sequence[ImageInput], waiting: Sequence[int], located: BoolA
     plural = "s" if len(waiting) > 1 else ""
     raise TermselError(
         f"the image{plural} {', '.join(named)}{further} cannot be oriented",
-        hint=f"Give each an RPC, four control points ({LEAST} for a model of its sensor), or "
-             f"{LEAST_TIES} ties that two images with control or RPC see.")
+        hint=f"Give each an RPC, four control points ({MIN_CONTROL_POINTS} for a model of its "
+             f"sensor), or {LEAST_TIES} ties that two images with control or RPC see.")

@@ -13,7 +13,7 @@ from termsel_block.evidence.variances import OWN, TAIL
 from termsel_block.geometry.cameras import Camera
 from termsel_block.geometry.frame import FloatArray, IntArray
 
-MOST = 200
+MAX_INTEGRATED = 200
 """Parameters with unknown variances above which the variances are taken as estimated: many images
 tell them, and the time grows with the cube."""
 

@@ -31,7 +31,7 @@ were at hand they are 0.0001 to 0.0019 (root mean squares), 0.0007 in the middle
 _WAVES = 16
 """Half waves of jitter along an image at most: ties seldom lie closer than 30 to an image."""
 
-POWERS = tuple(sorted((p for p in product(range(4), repeat=3) if sum(p) + p[2] <= 3),
+EXPONENTS = tuple(sorted((p for p in product(range(4), repeat=3) if sum(p) + p[2] <= 3),
                       key=lambda p: (sum(p), p)))
 """Exponents of x, y and z: cubic on the plane, heights by themselves and with x and y."""
 
@@ -292,7 +292,7 @@ class PolynomialCamera(LinearCamera):
     fixed_variance = frozenset({_AFFINE})
 
     def __init__(self, centre: FloatArray, half_ground: float, half_image: float,
-                 middle: FloatArray, powers: Sequence[tuple[int, ...]] = POWERS) -> None:
+                 middle: FloatArray, powers: Sequence[tuple[int, ...]] = EXPONENTS) -> None:
         self.centre = centre
         self.half = half_ground
         self.middle = middle

@@ -16,7 +16,7 @@ from termsel.toolkit import scaling_of
 from termsel_block.geometry.cameras import Camera, Fixed
 from termsel_block.geometry.frame import BoolArray, FloatArray, Frame
 
-LEAST = 3
+MIN_CONTROL_POINTS = 3
 """Control points from which such a model begins."""
 
 ABSURD = 0.01

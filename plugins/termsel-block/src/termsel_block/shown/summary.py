@@ -15,7 +15,7 @@ _FEWEST_ROWS = 2
 """Images that the first screen lists whatever else it says."""
 _PARTS = 10
 """Parts of a block that a caution lists."""
-_NAMED = 3
+_MAX_REJECTED_NAMED = 3
 """Rejected observations that are named."""
 _LABEL, _WIDTH = 10, 88
 """Characters of the column of labels, and of a line."""
@@ -121,7 +121,7 @@ def _blunders(record: BlockRecord) -> str:
         return (f"none detected among {record.measurements} tie and "
                 f"{sum(image.control for image in record.images)} GCP observations")
     rejected: list[WrongControl | WrongTie] = [*record.wrong_control, *record.wrong_ties]
-    worst = rejected[:_NAMED]
+    worst = rejected[:_MAX_REJECTED_NAMED]
     named = ", ".join(f"{wrong.id} in {wrong.image} {wrong.error:.1f} px" for wrong in worst)
     further = f", {ties + control - len(worst)} more" if ties + control > len(worst) else ""
     return f"{ties} tie and {control} GCP observations rejected: {named}{further}"

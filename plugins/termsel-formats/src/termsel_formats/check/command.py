@@ -22,7 +22,7 @@ from termsel.toolkit import (
 if TYPE_CHECKING:
     from termsel_formats.check.comparison import Apart, Deviation
 
-CLOSE = 1.0
+WARNING_PX = 1.0
 """Px from which on a deviation is told as a warning."""
 
 
@@ -101,7 +101,7 @@ def _warn(deviation: Deviation) -> None:
         echo(f"Warning: {deviation.program.strip()} takes "
              f"{deviation.said or deviation.transformation}.")
         return
-    if worst.largest > CLOSE:
+    if worst.largest > WARNING_PX:
         metres = "" if worst.metres is None else f" ({worst.metres:,.3g} m)"
         echo(f"Warning: {deviation.program} is up to {worst.largest:,.3g} px{metres} off the "
              "model, near "

@@ -16,7 +16,7 @@ from termsel_formats.check.programs import Answers, taken_by
 from termsel_formats.check.raster import size_of
 from termsel_formats.check.sidecars import raster_of
 
-_ACROSS = 15  # places along either side of the image
+_PLACES_ACROSS = 15  # places along either side of the image
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ def _of(answer: Taken, result: Result, size: tuple[int, int]) -> Deviation:
         return deviation
     points = result.features.points.ground
     points = points[np.isfinite(points[:, :2]).all(axis=1)]
-    share = np.linspace(0.0, 1.0, _ACROSS)
+    share = np.linspace(0.0, 1.0, _PLACES_ACROSS)
     inside = np.stack(np.meshgrid(share, share, indexing="ij"), axis=-1).reshape(-1, 2)
     # A lattice of pixels, counted from centres, and the outer border of the image.
     image = np.concatenate([inside * size - 0.5, outline(size)])

@@ -14,7 +14,7 @@ from termsel.toolkit import FloatArray
 from termsel_formats.check.base import NoAnswer, Places, Taken, answer, installed
 
 WGS84 = "EPSG:4326"
-_ALIKE = 1e-9  # of the size of the coordinates
+_ALIKE_SHARE = 1e-9  # of the size of the coordinates
 _BY_GCPS = (("polynomial of order 1 through GCPs", ("-order", "1")),
             ("polynomial of order 2 through GCPs", ("-order", "2")),
             ("polynomial of order 3 through GCPs", ("-order", "3")),
@@ -168,7 +168,8 @@ def _alike(default: Places, with_options: dict[str, tuple[tuple[str, ...], Place
     flat = np.zeros(4)
     by_default = default(image, flat)
     for words, (_, transform) in with_options.items():
-        if np.abs(transform(image, flat) - by_default).max() <= _ALIKE * np.abs(by_default).max():
+        difference = np.abs(transform(image, flat) - by_default).max()
+        if difference <= _ALIKE_SHARE * np.abs(by_default).max():
             return words
     return "transformation through GCPs"
 

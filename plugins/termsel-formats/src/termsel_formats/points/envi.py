@@ -18,7 +18,7 @@ from termsel.toolkit import read_text
 from termsel.toolkit.files import Table, image_of
 from termsel_formats.points.common import utm
 
-_COLUMNS = {
+_COLUMNS_BY_NUMBER = {
     4: ("x", "y", "sample", "line"),
     5: ("x", "y", "z", "sample", "line"),
     6: ("image", "x", "y", "z", "sample", "line"),
@@ -30,7 +30,7 @@ several images, of a stereo pair."""
 # Short patterns one after another: in one pattern they take the square of a line's length.
 _ENVI = re.compile(r"\bENVI\b", re.IGNORECASE)
 _KIND = re.compile(r"\b(GCP|Ground Control|Points)\b", re.IGNORECASE)
-_IMAGE = re.compile(r"\bImage\s*\(x", re.IGNORECASE)
+_IMAGE_COLUMNS = re.compile(r"\bImage\s*\(x", re.IGNORECASE)
 _PROJECTION = re.compile(r";\s*projection info\s*=\s*\{", re.IGNORECASE)
 _CORNER = 1.5  # what the centre of the first pixel is called
 
@@ -60,8 +60,9 @@ class EnviPoints(Reader):
         """Return the points; errors name file, line and column."""
         rows, lines, crs = _rows(path)
         width = len(rows[0])
-        table = Table(path, crs, {name: name for name in _COLUMNS[width]},
-                      dict(zip(_COLUMNS[width], zip(*rows, strict=True), strict=True)), lines)
+        names = _COLUMNS_BY_NUMBER[width]
+        table = Table(path, crs, {name: name for name in names},
+                      dict(zip(names, zip(*rows, strict=True), strict=True)), lines)
         if "image" in table.columns:
             numbers = table.stack("image")[:, 0].tolist()
             image_number = image_of(path, numbers, self.options["image_number"], "image_number=N")
@@ -75,7 +76,7 @@ class EnviPoints(Reader):
 def _is_title(comment: str) -> bool:
     """Return True for a comment that only a file of points of ENVI has."""
     envi = _ENVI.search(comment)
-    return bool(envi and _KIND.search(comment, envi.end())) or bool(_IMAGE.search(comment))
+    return bool(envi and _KIND.search(comment, envi.end())) or bool(_IMAGE_COLUMNS.search(comment))
 
 
 def _rows(path: Path) -> tuple[list[list[str]], list[int], str]:
@@ -99,11 +100,11 @@ def _rows(path: Path) -> tuple[list[list[str]], list[int], str]:
         raise TermselError("the file has no points", file=path,
                            hint="Add one row per point below the comments.")
     for row, number in zip(rows, lines, strict=True):
-        if len(row) not in _COLUMNS or len(row) != len(rows[0]):
+        if len(row) not in _COLUMNS_BY_NUMBER or len(row) != len(rows[0]):
             raise TermselError(
                 f"the row has {len(row)} numbers, expected "
-                + (f"{len(rows[0])} as in the first" if len(rows[0]) in _COLUMNS else
-                   f"one of {', '.join(map(str, _COLUMNS))}"), file=path, line=number,
+                + (f"{len(rows[0])} as in the first" if len(rows[0]) in _COLUMNS_BY_NUMBER else
+                   f"one of {', '.join(map(str, _COLUMNS_BY_NUMBER))}"), file=path, line=number,
                 hint="Decimal commas are not supported." if "," in "".join(row) else None)
     return rows, lines, crs
 

@@ -33,8 +33,9 @@ _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _OPTION = re.compile(rf"-gcp\s+({_NUMBER})\s+({_NUMBER})\s+({_NUMBER})\s+({_NUMBER})"
                      rf"(?:\s+({_NUMBER}))?(?=\s|$)")
 _SRS = re.compile(r"-(?:a_srs|gcp_srs|s_srs)\s+(?:\"([^\"]*)\"|'([^']*)'|(\S+))")
-_IMAGE = re.compile(r"""(?:^|\s)["']?([^\s"'<>|]+\.(?:tiff?|jpe?g|jp2|png|vrt|img|bmp|gif))["']?"""
-                    r"(?=\s|$)", re.IGNORECASE)
+_IMAGE_FILE = re.compile(
+    r"""(?:^|\s)["']?([^\s"'<>|]+\.(?:tiff?|jpe?g|jp2|png|vrt|img|bmp|gif))["']?"""
+    r"(?=\s|$)", re.IGNORECASE)
 _PRINTED = re.compile(
     rf"GCP\[\s*\d+\]:\s*Id=(.*?),\s*Info=[^\n]*\n\s*\(({_NUMBER}),({_NUMBER})\)\s*->\s*"
     rf"\(({_NUMBER}),({_NUMBER})(?:,({_NUMBER}))?\)")
@@ -89,7 +90,7 @@ def _commands(path: Path) -> dict[str, str]:
     for line in command_lines:
         if not _OPTION.search(line):
             continue
-        named = _IMAGE.search(_OPTION.sub(" ", line))
+        named = _IMAGE_FILE.search(_OPTION.sub(" ", line))
         image = named[1].replace("\\", "/").rpartition("/")[2] if named else ""
         commands[image] = f"{commands.get(image, '')} {line}"
     if not commands:

@@ -36,7 +36,7 @@ LATITUDES = ("latitude", "lat", "y")
 HEIGHTS = ("height", "altitude", "elevation", "z")
 """What bands of arrays are called, without regard to case."""
 
-LARGEST = 1e30
+NO_COORDINATE = 1e30
 """What is no coordinate."""
 
 _MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"EHFA_HEADER_TAG", b"CDF\x01", b"CDF\x02",
@@ -226,7 +226,7 @@ def _line_of(raster: Any, number: int) -> Band:
             values = raster.read(number, window=Window(0, index, raster.width, 1), masked=True)
             numbers = values.astype(np.float64).filled(np.nan)[0]
             numbers = numbers * raster.scales[number - 1] + raster.offsets[number - 1]
-        numbers[~(np.abs(numbers) < LARGEST)] = np.nan
+        numbers[~(np.abs(numbers) < NO_COORDINATE)] = np.nan
         return np.asarray(numbers)
 
     return line

@@ -20,8 +20,8 @@ from termsel_formats.points.written import IMAGE, PointsWriter, image_name, on_w
 
 _TITLE = re.compile(rb"^\s*!table", re.IGNORECASE)
 _RASTER = re.compile(rb"Type\s+\"RASTER\"", re.IGNORECASE)
-_NUMBER = r"\s*([^\s,()]+)\s*"
-_POINT = re.compile(rf"\s*\({_NUMBER},{_NUMBER}\)\s*\({_NUMBER},{_NUMBER}\)"
+_CELL = r"\s*([^\s,()]+)\s*"
+_POINT = re.compile(rf"\s*\({_CELL},{_CELL}\)\s*\({_CELL},{_CELL}\)"
                     r"(?:\s*Label\s*\"([^\"]*)\")?", re.IGNORECASE)
 _SYSTEM = re.compile(r"^\s*CoordSys\s+Earth\s+Projection\s+([^\n]*)", re.IGNORECASE | re.MULTILINE)
 _WGS84 = ("104",)

@@ -34,14 +34,14 @@ from termsel_formats.points.written import (
 
 log = logging.getLogger("termsel.formats")
 
-_COLUMNS = ("geo_x", "geo_y", "geo_z", "im_x", "im_y", "image_name", "gcp_name")
+_ODM_COLUMNS = ("geo_x", "geo_y", "geo_z", "im_x", "im_y", "image_name", "gcp_name")
 _MEANINGS = {"x": "geo_x", "y": "geo_y", "z": "geo_z", "sample": "im_x", "line": "im_y"}
 _CRS_LINE = re.compile(r"\s*#?\s*(EPSG\s*:|WGS\s*84|\+proj|\+init|PROJCR?S|GEOG|ESRI\s*:)",
                        re.IGNORECASE)
 _CHECK = "CHK-"
 """Beginning of the names of check points. Versions of OpenDroneMap that know it keep them out of
 the adjustment; others take them as control (github.com/WebODM/WebODM/issues/1824)."""
-_HINT = f"The first line is the CRS, the others are {' '.join(_COLUMNS[:6])} [gcp_name]."
+_HINT = f"The first line is the CRS, the others are {' '.join(_ODM_COLUMNS[:6])} [gcp_name]."
 
 
 class OdmGcpList(Reader):
@@ -67,7 +67,7 @@ class OdmGcpList(Reader):
         lines, rows = zip(*of_image, strict=True)
         columns = {}
         for meaning, name in _MEANINGS.items():
-            columns[meaning] = [_known_height(cells[_COLUMNS.index(name)]) for cells in rows]
+            columns[meaning] = [_known_height(cells[_ODM_COLUMNS.index(name)]) for cells in rows]
         names = dict(_MEANINGS)
         if all(len(cells) > 6 for cells in rows):
             columns["id"] = [cells[6] for cells in rows]

@@ -28,7 +28,7 @@ _TOKEN = re.compile(r"ID|I|e[PLXYZ]|[PLXYZES]")
 _MEANING = {"ID": "id", "I": "id", "P": "sample", "L": "line", "X": "x", "Y": "y", "Z": "z",
             "E": "z", "eP": "sigma_sample", "eL": "sigma_line", "S": "role"}
 _ROLES = {"G": "control", "C": "check", "I": "off"}
-_USUAL = {5: "ID P L X Y", 6: "ID P L X Y Z"}
+_USUAL_COLUMNS = {5: "ID P L X Y", 6: "ID P L X Y Z"}
 _COMMENT = ("#", ";", "!")
 
 
@@ -47,7 +47,8 @@ class PciGcp(Reader):
             return False
         rows = [row for _, row in _rows(head.decode("utf-8", "replace").rpartition("\n")[0])]
         return bool(rows) and all(
-            len(row) - (row[-1] in _ROLES) in _USUAL and _are_numbers(row[1:5]) for row in rows)
+            len(row) - (row[-1] in _ROLES) in _USUAL_COLUMNS and _are_numbers(row[1:5])
+            for row in rows)
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points; errors name file, line and column."""
@@ -84,7 +85,7 @@ class PciGcp(Reader):
         layout = re.sub(r"[\s,]", "", str(self.options["layout"]))
         if not layout:
             status = first[-1] in _ROLES
-            usual = _USUAL.get(len(first) - status)
+            usual = _USUAL_COLUMNS.get(len(first) - status)
             if usual is None:
                 raise TermselError(f"a line has {len(first)} fields", file=path,
                                    hint="Name them with --set layout=IDPLXYZ.")

@@ -19,9 +19,9 @@ from termsel_match.judgement.structures import Correction, called_for, correctio
 from termsel_match.searching import searched
 
 # Px at which a candidate counts half in the search.
-TOLERANCE = 2.0
+AGREEING_PX = 2.0
 _LEAST_CHECK = 2
-NEAR = 2 * TOLERANCE
+NEAR_PX = 2 * AGREEING_PX
 """Px within which the spread of those that agree is estimated."""
 _SIGMAS = 3.5
 # In px.
@@ -109,7 +109,7 @@ class Selected:
 
 
 def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], *,
-                  accept: float = TOLERANCE, plainer_than: Correction | None = None,
+                  accept: float = AGREEING_PX, plainer_than: Correction | None = None,
                   seed: int = 1, folder: Path | str | None = None) -> Selected:
     """Return the model with which most candidates agree.
 
@@ -155,8 +155,8 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
     # The search finds a few candidates that determine a model with which many agree.
     picked = np.isin(points.ids, searched(
         "rpc-gcps", with_roles, model, {
-            **options, "half_at": TOLERANCE, "max_uncovered": 0.9, "min_features": max(6, n_terms),
-            "max_features": max(6, n_terms),
+            **options, "half_at": AGREEING_PX, "max_uncovered": 0.9,
+            "min_features": max(6, n_terms), "max_features": max(6, n_terms),
             # The fit to all that agree comes next, and needs no better place to begin.
             "polish": False}, seed=seed, criterion="agreement"))
     # A spread that a fault of the reference has made is not the spread of matching.
@@ -176,7 +176,7 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
                 break
             fit = fitted(correction, agrees)
         # Jitter moves good candidates beyond the limit: all that are near have a say.
-        near = ~independent & (errors <= NEAR)
+        near = ~independent & (errors <= NEAR_PX)
         several = corrections(model, options, int(near.sum()))
         # Those before the one that is too rich.
         plainer = list(takewhile(lambda richer: richer != plainer_than, several))
@@ -326,7 +326,7 @@ def _missed(fit: Fit, points: Points) -> float:
 def _agreeing(errors: FloatArray, used: Mask, max_limit: float) -> tuple[Mask, float]:
     """Return which of the candidates in use agree, and the limit, by the spread of near ones."""
     # By the median of those that are near, which blunders hardly change.
-    near = errors[used & (errors < NEAR)]
+    near = errors[used & (errors < NEAR_PX)]
     sigma = float(np.median(near)) / _RAYLEIGH_MEDIAN if len(near) else 0.0
     limit = max(min(_SIGMAS * sigma, max_limit), _MIN_AGREEMENT)
     return np.asarray(used & (errors <= limit)), limit

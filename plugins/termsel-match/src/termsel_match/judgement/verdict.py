@@ -20,7 +20,7 @@ from termsel_match.judgement.evidence import (
     unsupported,
 )
 from termsel_match.judgement.repeats import ALIKE
-from termsel_match.judgement.selection import AGREEING, NEAR, TOLERANCE, Selected
+from termsel_match.judgement.selection import AGREEING, AGREEING_PX, NEAR_PX, Selected
 from termsel_match.lines.rounds import Matched, rms_distance
 from termsel_match.points.candidates import Candidates
 
@@ -39,7 +39,7 @@ _USUAL_BIAS = 50.0
 # Times the bias that an RPC states.
 _STATED = 3.0
 # Candidates that disagree, by name.
-_NAMED = 12
+_MAX_NAMED = 12
 # In m.
 _EARTH = 6.371e6
 
@@ -106,7 +106,7 @@ def evidence_of(candidates: Candidates, selected: Selected, heights: Heights,
     residuals = points.image - fit.project(points.ground)
     away = np.linalg.norm(residuals, axis=1)
     # Of less exact matching: what agrees is no other place.
-    reach = max(NEAR, selected.limit)
+    reach = max(NEAR_PX, selected.limit)
     near = away <= reach
     far = (away > reach) & np.isfinite(away)
     # Where the map will be, by a model that goes nowhere beyond the candidates.
@@ -123,7 +123,7 @@ def evidence_of(candidates: Candidates, selected: Selected, heights: Heights,
         bare=unsupported(agree.image, overlap, size),
         structure=structure(points.image[near], residuals[near], 2 * selected.limit, size,
                             np.random.default_rng([seed, 2])),
-        other_place=other_place(points.image[far], residuals[far], TOLERANCE, size),
+        other_place=other_place(points.image[far], residuals[far], AGREEING_PX, size),
         correction=correction, pixel=_pixel(agree, candidates.crs),
         along_lines=along(selected, agree, size[0]), repetition=repetition)
 
@@ -233,7 +233,7 @@ def _is_seam(evidence: Evidence, accept: float) -> bool:
         return False
     other_step = np.array(evidence.other_place.away)
     return bool(min(np.linalg.norm(other_step - step),
-                    np.linalg.norm(other_step + step)) <= TOLERANCE)
+                    np.linalg.norm(other_step + step)) <= AGREEING_PX)
 
 
 @dataclass(frozen=True, eq=False)
@@ -306,8 +306,8 @@ class Georeferenced:
         names = [name for name, is_agreeing in zip(points.ids, agree, strict=True)
                  if not is_agreeing]
         if names:
-            further = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-            lines.append(f"Candidates that disagree: {', '.join(names[:_NAMED])}{further}")
+            further = f" and {len(names) - _MAX_NAMED} more" if len(names) > _MAX_NAMED else ""
+            lines.append(f"Candidates that disagree: {', '.join(names[:_MAX_NAMED])}{further}")
         if self.lines is not None:
             last = self.lines.rounds[-1]
             away = rms_distance(result.fit, result.features.lines)

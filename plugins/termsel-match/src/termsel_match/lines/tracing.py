@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from termsel_match.lines.problem import MatchedLines
 
-FEW = 6
+MIN_VECTORS = 6
 """Vectors; of fewer, an error that a whole one has does not show."""
 # Of fewer vectors, that are drawn together.
 _STRETCHES, _MIN_STRETCHES = 8, 4
 _DRAWS = 60
 # Of the draws; the mean square is as large for normal errors, and not robust.
-_LEVEL = 0.7
+_ALONG_LEVEL = 0.7
 
 
 @dataclass(frozen=True)
@@ -38,9 +38,9 @@ class Tracing:
         """Return what a user must know of it."""
         remaining = ("cannot be told by so few pieces of vectors." if np.isnan(self.sigma) else
                      f"{self.sigma:.2f} px.")
-        if self.vectors < FEW and not np.isnan(self.sigma):
+        if self.vectors < MIN_VECTORS and not np.isnan(self.sigma):
             remaining = (f"{self.sigma:.2f} px, apart from errors that a whole vector has. Fewer "
-                         f"than {FEW} vectors do not show those.")
+                         f"than {MIN_VECTORS} vectors do not show those.")
         return f"Standard deviation in the image that errors of the vectors leave: {remaining}"
 
 
@@ -85,13 +85,14 @@ def left_by_tracing(problem: MatchedLines, selected: Sequence[str], seed: int) -
             away = problem.seen(problem.fitted(lines)) - positions
             moves.append((away**2).sum(axis=1).mean())
     # A few draws hardly determine the model, which says nothing of all vectors together.
-    return Tracing(float(np.sqrt(np.quantile(moves, _LEVEL))) if moves else float("nan"), vectors)
+    sigma = float(np.sqrt(np.quantile(moves, _ALONG_LEVEL))) if moves else float("nan")
+    return Tracing(sigma, vectors)
 
 
 def _drawn_together(vector: NDArray[np.intp]) -> NDArray[np.intp]:
     """Return the number of what each piece is drawn with: its vector, or a stretch of it."""
     count = int(vector.max()) + 1
-    if count >= FEW:
+    if count >= MIN_VECTORS:
         return vector
     n_stretches = -(-_STRETCHES // count)
     stretch = np.empty_like(vector)

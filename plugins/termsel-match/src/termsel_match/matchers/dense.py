@@ -13,9 +13,9 @@ from scipy.fft import irfft2, next_fast_len, rfft2
 from termsel_match.images.rasters import FloatArray, Grey, Mask, stretched
 from termsel_match.matchers import Window
 
-HALF = 20
+HALF_WINDOW = 20
 """Px: parts have 41 px along either side."""
-REACH = 6
+SHIFT_REACH = 6
 """Px by which the shift of a part may differ from that of the window."""
 # Px between places that are tried.
 _PLACE_DISTANCE = 9
@@ -24,7 +24,7 @@ _PLACE_AREA = 900
 # Standard deviations of all shifts by which the best must exceed their mean.
 _DISTINCT = 5.0
 # Px around the best shift that are not another one.
-_ALIKE = 3
+_ALIKE_SHIFT = 3
 
 
 def common_shift(first: Grey, second: Grey, expected: FloatArray, search: float, *,
@@ -69,7 +69,7 @@ def common_shift(first: Grey, second: Grey, expected: FloatArray, search: float,
 def distinct_places(window: Window) -> FloatArray:
     """Return whole pixels with structure in both directions, (n, 2), the most distinct first."""
     picture = stretched(window.pixels, window.known)
-    width = 2 * (HALF + 1) + 1
+    width = 2 * (HALF_WINDOW + 1) + 1
     # Windows of places must be known as a whole.
     inner = cv2.erode(window.known.astype(np.uint8), np.ones((width, width), dtype=np.uint8),
                       borderValue=0)
@@ -99,7 +99,7 @@ def peak(surface: FloatArray) -> tuple[FloatArray, float, float]:
     top = np.array(np.unravel_index(int(surface.argmax()), surface.shape))
     best = float(surface[tuple(top)])
     # The next largest value away from the best tells how clear that one is.
-    low = np.maximum(top - _ALIKE, 0)
+    low = np.maximum(top - _ALIKE_SHIFT, 0)
     rest_of_surface = surface.copy()
-    rest_of_surface[low[0]:top[0] + _ALIKE + 1, low[1]:top[1] + _ALIKE + 1] = -np.inf
+    rest_of_surface[low[0]:top[0] + _ALIKE_SHIFT + 1, low[1]:top[1] + _ALIKE_SHIFT + 1] = -np.inf
     return top - (np.array(surface.shape) - 1) / 2, best, float(rest_of_surface.max())

@@ -15,8 +15,8 @@ from scipy.signal.windows import hann
 from termsel_match.images.rasters import Grey
 from termsel_match.matchers import Matcher, Matches, Window
 from termsel_match.matchers.dense import (
-    HALF,
-    REACH,
+    HALF_WINDOW,
+    SHIFT_REACH,
     common_shift,
     distinct_places,
     inside,
@@ -46,12 +46,12 @@ class Phase(Matcher):
         if shift is None:
             return none
         positions = distinct_places(first)
-        positions = positions[inside(positions + shift, second.known, HALF)]
+        positions = positions[inside(positions + shift, second.known, HALF_WINDOW)]
         if not len(positions):
             return none
-        steps = np.arange(-HALF, HALF + 1)
+        steps = np.arange(-HALF_WINDOW, HALF_WINDOW + 1)
         # Tapered to zero at the edges, whose jumps would be structure of their own.
-        taper = np.outer(hann(2 * HALF + 1), hann(2 * HALF + 1))
+        taper = np.outer(hann(2 * HALF_WINDOW + 1), hann(2 * HALF_WINDOW + 1))
         moved = []
         clear = []
         score = []
@@ -66,7 +66,7 @@ class Phase(Matcher):
             moved.append(away)
             clear.append(next_best / best if best > 0 else 1.0)
             score.append(best)
-        near = np.abs(moved).max(axis=1) <= REACH
+        near = np.abs(moved).max(axis=1) <= SHIFT_REACH
         # The clearest first: the next peak is far below the best.
         order = np.argsort(clear, kind="stable")
         order = order[near[order]]

@@ -22,7 +22,7 @@ _MAX_STEPS = 15
 # In px.
 _SETTLED_STEP = 1e-3
 # Px between the keypoints and the refined place.
-_FARTHEST = 2.5
+_MAX_REFINEMENT = 2.5
 # Correlation.
 LEAST_SCORE = 0.5
 # In px; models of noise are no better.
@@ -89,14 +89,14 @@ def refined(first: Layers, second: Layers, at_first: FloatArray, at_second: Floa
     for _ in range(_MAX_STEPS):
         step = _solved(smooth, template[active], position[active], window)[0]
         position[active] += np.clip(step, -1, 1)
-        has_left = np.linalg.norm(position - begin, axis=1) > _FARTHEST
+        has_left = np.linalg.norm(position - begin, axis=1) > _MAX_REFINEMENT
         active = active[(np.abs(step).max(axis=1) > _SETTLED_STEP) & ~has_left[active]]
         if not len(active):
             break
     _, sigma, score = _solved(smooth, template, position, window)
     settled = np.ones(len(usable), dtype=bool)
     settled[active] = False
-    is_good = (settled & (np.linalg.norm(position - begin, axis=1) <= _FARTHEST)
+    is_good = (settled & (np.linalg.norm(position - begin, axis=1) <= _MAX_REFINEMENT)
                & (score >= min_score) & np.isfinite(sigma).all(axis=1))
     return Matches(pixels[is_good], position[is_good], score[is_good],
                    np.maximum(sigma[is_good], _MIN_MATCH_SIGMA))

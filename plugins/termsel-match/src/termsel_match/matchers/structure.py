@@ -16,8 +16,8 @@ import numpy as np
 from termsel_match.images.rasters import FloatArray, Grey, stretched
 from termsel_match.matchers import Matcher, Matches, Window
 from termsel_match.matchers.dense import (
-    HALF,
-    REACH,
+    HALF_WINDOW,
+    SHIFT_REACH,
     common_shift,
     distinct_places,
     inside,
@@ -66,7 +66,8 @@ class Structure(Matcher):
         if shift is None:
             return nothing
         positions = distinct_places(Window(first.pixels, image_layers.known))
-        positions = positions[inside(positions + shift, reference_layers.known, HALF + REACH)]
+        positions = positions[inside(positions + shift, reference_layers.known,
+                                     HALF_WINDOW + SHIFT_REACH)]
         if not len(positions):
             return nothing
         moved, clear = _near(image_layers.values, reference_layers.values, positions, shift)
@@ -102,19 +103,21 @@ def _near(image_layers: Grey, reference_layers: Grey, positions: FloatArray, shi
           ) -> tuple[FloatArray, FloatArray]:
     """Return by how much places are off the shift, (n, 2) [px], and how unclear that is, (n,)."""
     # Squares of the second under each window, by which the correlation is normalised.
-    energy = cv2.boxFilter((reference_layers**2).sum(axis=0), -1, (2 * HALF + 1,) * 2,
+    energy = cv2.boxFilter((reference_layers**2).sum(axis=0), -1, (2 * HALF_WINDOW + 1,) * 2,
                            normalize=False)
     moved = np.empty_like(positions)
     clear = np.empty(len(positions))
     for i, position in enumerate(positions.astype(int)):
         at = position + shift.astype(int)
-        template = image_layers[:, position[0] - HALF:position[0] + HALF + 1,
-                                position[1] - HALF:position[1] + HALF + 1]
-        rows, columns = (slice(middle - HALF - REACH, middle + HALF + REACH + 1) for middle in at)
+        template = image_layers[:, position[0] - HALF_WINDOW:position[0] + HALF_WINDOW + 1,
+                                position[1] - HALF_WINDOW:position[1] + HALF_WINDOW + 1]
+        reach = HALF_WINDOW + SHIFT_REACH
+        rows, columns = (slice(middle - reach, middle + reach + 1) for middle in at)
         correlation = sum(cv2.matchTemplate(layer[rows, columns], window, cv2.TM_CCORR)
                           for layer, window in zip(reference_layers, np.ascontiguousarray(template),
                                                    strict=True))
-        around = energy[at[0] - REACH:at[0] + REACH + 1, at[1] - REACH:at[1] + REACH + 1]
+        around = energy[at[0] - SHIFT_REACH:at[0] + SHIFT_REACH + 1,
+                        at[1] - SHIFT_REACH:at[1] + SHIFT_REACH + 1]
         likeness = correlation / np.sqrt(np.maximum(around * (template**2).sum(), 1e-12))
         moved[i], best, next_best = peak(np.asarray(likeness, dtype=np.float64))
         clear[i] = max(next_best, 0.0) / best if best > 0 else 1.0

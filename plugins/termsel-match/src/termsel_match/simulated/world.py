@@ -19,7 +19,7 @@ Shakes = tuple[tuple[tuple[float, float, float], ...], ...]
 
 CRS = "EPSG:32633"
 # Px along either side of an image.
-SMALLEST, LARGEST = 200, 4000
+SMALLEST_WORLD, LARGEST_WORLD = 200, 4000
 
 _LON, _LAT = 14.2, 47.2
 # Mean height of the ground and size of its hills [m].
@@ -68,7 +68,8 @@ class World:
     Raises
     ------
     TermselError
-        For a size that is not within `SMALLEST` and `LARGEST`, or a distance that is not 0 to 200.
+        For a size that is not within `SMALLEST_WORLD` and `LARGEST_WORLD`, or a distance that is
+        not 0 to 200.
     """
 
     size: int = 1000
@@ -79,9 +80,9 @@ class World:
     jitter: float = 0.0
 
     def __post_init__(self) -> None:
-        if not SMALLEST <= self.size <= LARGEST:
+        if not SMALLEST_WORLD <= self.size <= LARGEST_WORLD:
             raise TermselError(f"a world cannot have an image of {self.size} px",
-                               hint=f"Give a size of {SMALLEST} to {LARGEST} px.")
+                               hint=f"Give a size of {SMALLEST_WORLD} to {LARGEST_WORLD} px.")
         if not 0 <= self.off <= 200:
             raise TermselError(f"the RPC of a world cannot be {self.off:g} px off",
                                hint="Give a distance of 0 to 200 px.")

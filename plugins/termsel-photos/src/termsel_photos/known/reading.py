@@ -21,7 +21,7 @@ DIAGONAL = float(np.hypot(36.0, 24.0))
 EXIF_POSITION_SPREAD = 30.0
 """Standard deviation of a position in EXIF [m]: heights of drones count from the take-off."""
 
-_NUMBER = re.compile(r"\d+(?:\.\d+)?")
+_DIGITS = re.compile(r"\d+(?:\.\d+)?")
 
 
 class CameraOptions:
@@ -105,13 +105,13 @@ def _position_of(tags: Mapping[str, str], crs: str) -> dict[str, str]:
 
 def _first(text: str) -> float:
     """Return the first number of a tag such as "(8.8)"; 0 without one."""
-    match = _NUMBER.search(text)
+    match = _DIGITS.search(text)
     return float(match.group()) if match else 0.0
 
 
 def _degrees(text: str) -> float | None:
     """Return degrees of "(46) (30) (12.3)"; None of another text."""
-    numbers = [float(number) for number in _NUMBER.findall(text)]
+    numbers = [float(number) for number in _DIGITS.findall(text)]
     if len(numbers) != 3:
         return None
     degrees, minutes, seconds = numbers

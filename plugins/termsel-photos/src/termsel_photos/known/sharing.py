@@ -20,13 +20,13 @@ from termsel_photos.known.lens import FloatArray
 from termsel_photos.known.method import is_mirrored
 from termsel_photos.known.model import KnownFrame
 
-FEWEST = 4
+MIN_POINTS_OF_PHOTO = 4
 """Points of a photo from which on it says something of its camera."""
 
-WIDE, CLOSE = 9, 7
+FOCALS_TRIED, FOCALS_TRIED_NEAR = 9, 7
 """Focal lengths that are tried at first, and about the best of them."""
 
-LEAST, MOST = 0.4, 6.0
+SHORTEST_FOCAL, LONGEST_FOCAL = 0.4, 6.0
 """Least and largest focal length, by the longer side of the photo."""
 
 DISTORTIONS = (-0.1, -0.05, -0.02, 0.0, 0.02, 0.05)
@@ -72,7 +72,8 @@ def shared_camera(photos: Sequence[FeatureSet], size: tuple[int, int],
     Parameters
     ----------
     photos : sequence of FeatureSet
-        With heights, each of `FEWEST` points at least; others say nothing and are left out.
+        With heights, each of `MIN_POINTS_OF_PHOTO` points at least; others say nothing and are left
+        out.
     size : tuple of int
         Lines and samples of all photos.
     focal : float, optional
@@ -84,15 +85,17 @@ def shared_camera(photos: Sequence[FeatureSet], size: tuple[int, int],
         If no photo tells the camera.
     """
     data = [FitData.of(replace(photo, image_size=size)) for photo in photos
-            if len(photo.points) >= FEWEST and not photo.without_height()]
+            if len(photo.points) >= MIN_POINTS_OF_PHOTO and not photo.without_height()]
     if not data:
-        raise TermselError(f"no photo has {FEWEST} control points with heights",
+        raise TermselError(f"no photo has {MIN_POINTS_OF_PHOTO} control points with heights",
                            hint="Measure more points, and give them heights.")
     flight = _Flight(data)
     longer = float(max(size))
-    ends = (LEAST * longer, MOST * longer) if focal is None else (0.8 * focal, 1.25 * focal)
-    step = (ends[1] / ends[0]) ** (1.0 / (WIDE - 1))
-    best = flight.least(np.geomspace(*ends, WIDE), 0.0)
+    ends = (SHORTEST_FOCAL * longer, LONGEST_FOCAL * longer)
+    if focal is not None:
+        ends = (0.8 * focal, 1.25 * focal)
+    step = (ends[1] / ends[0]) ** (1.0 / (FOCALS_TRIED - 1))
+    best = flight.least(np.geomspace(*ends, FOCALS_TRIED), 0.0)
     k1 = 0.0
     # In turns the distortion with the focal length held, then the focal length with the distortion
     # held, by ever smaller steps.
@@ -100,7 +103,7 @@ def shared_camera(photos: Sequence[FeatureSet], size: tuple[int, int],
         costs = np.array([flight.cost(best, distortion)[0] + (distortion / USUAL_DISTORTION) ** 2
                           for distortion in DISTORTIONS])
         k1 = _vertex(np.array(DISTORTIONS), costs)[0]
-        best = flight.least(best * np.geomspace(1.0 / step, step, CLOSE), k1)
+        best = flight.least(best * np.geomspace(1.0 / step, step, FOCALS_TRIED_NEAR), k1)
         step = step ** 0.4
     near = best * np.exp(np.array([-0.01, 0.0, 0.01]))
     # The cost is -2 log likelihood: near its least it is (log f - centre)^2 / s^2, so that twice

@@ -10,7 +10,7 @@ import numpy as np
 from termsel import TermselError
 from termsel.toolkit import FloatArray, normalise, read_text
 
-MOST = 60
+MAX_CANDIDATES = 60
 """Candidates of a file: each takes as long as a choice of the model."""
 
 
@@ -92,7 +92,8 @@ def projections_of_file(path: Path | str) -> list[Projection]:
         except TermselError as error:
             raise TermselError(error.what, file=path, line=number, hint=error.hint) from error
         projections.append(Projection(name.strip() or crs.strip(), crs.strip()))
-    if not 0 < len(projections) <= MOST:
+    if not 0 < len(projections) <= MAX_CANDIDATES:
         raise TermselError(f"there are {len(projections)} projections in this file", file=path,
-                           hint=f"Give 1 to {MOST}, a CRS a line: EPSG:27572  # Lambert II.")
+                           hint=f"Give 1 to {MAX_CANDIDATES}, a CRS a line: "
+                                "EPSG:27572  # Lambert II.")
     return projections

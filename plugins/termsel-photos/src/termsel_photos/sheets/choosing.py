@@ -15,7 +15,7 @@ NEARLY = 1.02
 """RMSE by that of the best, up to which the first of several projections is taken: they predict
 alike."""
 
-FEWEST = 4
+MIN_POINTS_OF_SHEET = 4
 """Points from which on a sheet tells projections apart."""
 
 
@@ -45,9 +45,10 @@ def tried_projections(sheets: Sequence[FeatureSet],
     power of its number of points: a sheet of few points borrows from the others.
     """
     used_sheets = [_choosing_part(sheet) for sheet in sheets]
-    used_sheets = [sheet for sheet in used_sheets if len(sheet.points) >= FEWEST]
+    used_sheets = [sheet for sheet in used_sheets if len(sheet.points) >= MIN_POINTS_OF_SHEET]
     if not used_sheets:
-        raise TermselError(f"no map has the {FEWEST} points that tell projections apart",
+        raise TermselError(f"no map has the {MIN_POINTS_OF_SHEET} points that tell projections "
+                           "apart",
                            hint="Measure more points, or state the projection.")
     counts = [len(sheet.points) for sheet in used_sheets]
     ranked = []
