@@ -146,7 +146,7 @@ def _require_free(name: str, package: str, bare: str, kind: str, module: str,
     if package == "termsel":
         raise TermselError("this is the name of termsel itself", hint="Choose another name.")
     from termsel.plugins.commands import COMMANDS
-    from termsel.plugins.kinds import NEW_KINDS as REGISTERED
+    from termsel.plugins.kinds import KINDS as REGISTERED
     from termsel.plugins.registry import Registry
 
     plural = next((key for key, value in REGISTERED.items() if value.word == _word(kind)), None)
