@@ -73,7 +73,7 @@ run --points files/gcps.csv --model affine --solver all-terms
 run --points files/gcps.csv --problem rfm-terms --seed 2 --generations 3
 run --points files/gcps.csv --rpc files/vendor.RPB
 run --points files/gcps.csv --model rpc-shift --rpc files/vendor.RPB --solver all-terms
-run --points files/noheader.txt --columns id,x,y,z,sample,line --crs EPSG:4979
+run --points files/noheader.txt --columns id=1,x=2,y=3,z=4,sample=5,line=6 --crs EPSG:4979
 run --points files/scene.points
 run --points files/gcps.csv --lines files/lines.csv
 run --areas files/areas.csv --crs EPSG:4979

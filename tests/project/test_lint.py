@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.lint.__main__ import main
+from tests.lint.figures import MOST, SMALLEST, Figures
 from tests.lint.words import left_out_words
 
 # The rules read no tests, so the left-out words may stand here.
@@ -92,3 +93,36 @@ def test_each_violation_is_shown_with_its_place(
         path.write_text(text)
     assert main(tmp_path) == int(bool(violation))
     assert (violation or "words and rooms are in order\n") in capsys.readouterr().out
+
+
+def test_figures_of_plain_code(tmp_path: Path) -> None:
+    module = tmp_path / "module.py"
+    module.write_text('''"""Text."""
+
+SIZE = 3
+# A reason.
+def read(place, n, m):
+    """Return it."""
+    n, m = m, n  # no line of its own
+    texts = [a for row in place for a in row]
+    call(1, 2, 3, 4, 5, 6, 7)
+    return "a" * (n > m)
+''')
+    figures = Figures()
+    figures.count(module)
+    assert (figures.code, figures.comments, figures.names) == (6, 1, 9)
+    assert figures.counts == dict.fromkeys(MOST, 1)
+    assert figures.modules_of_constant == {"SIZE": {module}}
+
+
+def test_large_trees_are_judged_by_their_figures(
+        tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name, text in FILES.items():
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    (tmp_path / "src/termsel/lower/one.py").write_text("given = 1\n" * SMALLEST)
+    assert main(tmp_path) == 1
+    out = capsys.readouterr().out
+    assert "src/termsel:1: vague names, by 100 names: " in out
+    assert "src/termsel:1: 0.0 comments by 100 lines of code" in out

@@ -33,6 +33,7 @@ def options_of_file(file: object) -> Iterator[None]:
     an option goes through `Option.parse`, which looks here. None is no file: what a user typed or
     gave in Python.
     """
+    # A context variable: other threads may read another file at the same time.
     token = _file.set("" if file is None else str(file))
     try:
         yield
@@ -89,6 +90,7 @@ class Option:
         if self.choices:
             return " | ".join(self.choices)
         kind = _TYPE_WORDS[self.type]
+        # Both, one, or no limit.
         if self.minimum is not None and self.maximum is not None:
             return f"{kind} from {_plain(self.minimum)} to {_plain(self.maximum)}"
         if self.minimum is not None:
@@ -109,6 +111,7 @@ class Option:
     def _require_from_file(self, value: Any) -> None:
         """Refuse a value that the file whose options are being resolved may not give."""
         allowed = self.from_files
+        # The default is no setting: a file may repeat it.
         if not _file.get() or allowed is True or value == self.default or (
                 allowed and str(value) in allowed):
             return
@@ -132,6 +135,7 @@ class Option:
             If the value is not of the type, out of range or not one of the choices; or is one that
             the file that gives it may not set.
         """
+        # None stands for "not given", which only such options accept.
         if value is None and self.default is None:
             return None
         self._require_from_file(value)
@@ -168,6 +172,7 @@ class Option:
         if self.type is float:
             return float(value)
         try:
+            # Not by way of float, which has 53 bits: a seed may have 63.
             return int(value) if isinstance(value, str) else index(value)
         except (TypeError, ValueError):  # such as 1e3
             number = float(value)
@@ -188,6 +193,7 @@ def by_part(values: Mapping[str, Any],
     They are given by name, or by ``part.name`` where several parts have an option of that name.
     Raises TermselError for an option that no part has, that several have, or that is given twice.
     """
+    # Names may occur in several parts: seed of a problem and of a solver.
     owners: dict[str, list[str]] = {}
     for owner, options in declared.items():
         for option in options:

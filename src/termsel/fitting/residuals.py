@@ -37,6 +37,7 @@ class Residual:
     blunder: str = ""
 
     def __post_init__(self) -> None:
+        # The class is frozen; nobody has seen the object yet.
         object.__setattr__(self, "distance", float(np.hypot(self.line, self.sample)))
 
 
@@ -120,6 +121,7 @@ def _of_control(control: FeatureSet, used: tuple[bool, ...], errors: FloatArray,
     piece_numbers = _piece_numbers(lines)
     for number in range(piece_numbers.max(initial=-1) + 1):
         of_number = piece_numbers == number
+        # Features are numbered points first, then lines.
         features = len(points) + lines.feature[of_number]
         for vertex in (0, 1):
             yield from _rows(select(lines.ids, of_number), line_errors[of_number, vertex],
@@ -135,6 +137,7 @@ def _rows(ids: tuple[str, ...], errors: FloatArray, ground: FloatArray, role: st
 
 def _piece_numbers(lines: Lines) -> IntArray:
     """Return which piece of its feature each line is, counted from 0."""
+    # Pieces of a line follow in any order, between those of others.
     count_by_id: Counter[str] = Counter()
     numbers = np.empty(len(lines), dtype=np.intp)
     for i, name in enumerate(lines.ids):
@@ -165,6 +168,7 @@ def rmse_of(errors: FloatArray, n: int) -> Rmse | None:
         return None
     with np.errstate(over="ignore"):  # beyond all numbers is infinite
         line, sample = np.sqrt((errors**2).mean(axis=0)).tolist()
+    # The mean square of distances is the sum of those of the axes.
     return Rmse(line, sample, float(np.hypot(line, sample)), n, freedom_of(errors))
 
 
@@ -179,6 +183,8 @@ def freedom_of(errors: FloatArray) -> float | None:
         squares = (errors**2).reshape(-1, 2)
         squares = squares / squares.mean(axis=0).sum()  # lest squares of squares overflow
         distances = squares.sum(axis=1)
+        # Satterthwaite: 2 mean^2 / variance of the squared distances, times their number. The
+        # variance is that of normal errors of both axes, or the observed one if it is larger.
         spread = float(distances.var(ddof=1)) / 2 if len(distances) > 1 else 0.0
         freedom = len(distances) / max(float((squares.mean(axis=0)**2).sum()), spread)
     return float(freedom) if np.isfinite(freedom) else None

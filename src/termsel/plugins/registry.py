@@ -52,6 +52,7 @@ class Entry:
     def answers_to(self, name: str) -> bool:
         """Return True for the entry's name, bare or with its distribution before it."""
         distribution, _, bare = name.rpartition(":")
+        # Distributions are named without regard to case, hyphens and underscores.
         return name == self.name or (canonical(distribution) == self.provided_by
                                      and bare == self.name.rpartition(":")[2])
 
@@ -120,6 +121,7 @@ class Registry:
         if isinstance(value, str):
             return self.get(kind, value)
         try:
+            # A class or an object: either is checked as what a hook returns.
             required = KINDS[kind]
             (required.require_returned if isinstance(value, type) else required.require_of)(value)
         except TypeError as error:
@@ -132,6 +134,7 @@ class Registry:
     def register(self, item: Any) -> Any:
         """Make a thing known by its name in this process (see `termsel.register`)."""
         for kind in KINDS:
+            # Classes are registered, not objects with options.
             if not KINDS[kind].is_of(item) or isinstance(item, Configurable):
                 continue
             item = self.taken(kind, item)
@@ -185,6 +188,7 @@ class Registry:
             return "auto is a strategy: ask for --strategy auto, the default of rfm-terms."
         if missing := self.missing(name):
             return missing
+        # A name of a plugin that fails is unknown for that reason.
         broken = sorted({failure.distribution for failure in self.failures(*kinds)})
         if not broken:
             return ""
@@ -208,6 +212,7 @@ class Registry:
 
     def parts(self) -> list[parts.Part]:
         """Return the parts that plugins have; a plugin that fails is told."""
+        # Asked once: plugins are imported for it.
         if self._parts is None:
             self._parts = [extension for _, extension in self._unnamed("parts", _parts)]
         return self._parts
@@ -224,6 +229,7 @@ class Registry:
     def notify_run_finished(self, result: Result) -> None:
         """Give every plugin that asks for it a copy of a finished run; warn of those that fail."""
         answers = call(LISTENER, self._loader.slots_of(LISTENER), _nothing,
+                       # A copy for each: no plugin may change what another one, or the user, gets.
                        {"result": lambda _plugin: deepcopy(result)}, HEARD)
         for plugin, reason in answers.faults:
             _warn(plugin, f"{LISTENER}: {reason}")
@@ -306,6 +312,7 @@ def _kept(plugin: Plugin, observe: Callable[[Progress], None]) -> Callable[[Prog
 
     def observed(progress: Progress) -> None:
         nonlocal failed
+        # After its first failure it is not called again: it would fail every generation.
         reason = None if failed else attempt(lambda: observe(progress), package_of(observe))[1]
         if reason is not None:
             failed = True

@@ -189,6 +189,7 @@ def chart(view: View, name: str) -> Any:
     """
     require_altair()
     kind = kind_of(name)
+    # Asked for by name: then it is an error, and no gap.
     if why := kind.missing(view):
         names = ", ".join(kind.name for kind in KINDS.values() if not kind.missing(view))
         raise TermselError(f"this result has no chart {name}: {why}",
@@ -216,6 +217,7 @@ def _method(kind: ChartKind) -> Callable[[Plots], Any]:
     def draw(plots: Plots) -> Any:
         return chart(plots._view, kind.name)
 
+    # As if it were written out, for help() and tracebacks.
     draw.__name__ = kind.name
     draw.__qualname__ = f"Plots.{kind.name}"
     draw.__doc__ = f"Return the chart \"{kind.title}\".\n\n{kind.look}"

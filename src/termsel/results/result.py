@@ -218,6 +218,7 @@ class Result(Glance):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content of result.json, without its checksums."""
+        # Checksums are of what is written: of a dictionary they would say nothing.
         content = plain(self.record)
         del content[SEALS]
         return content
@@ -292,6 +293,7 @@ class Result(Glance):
         TermselError
             If the final fit is asked for and there is none.
         """
+        # Nothing to choose between: the only fit is exported.
         if self.final is None:
             if final:
                 raise TermselError("this result has no final fit",
@@ -314,6 +316,7 @@ class Result(Glance):
 
         The final one if there is one. `Result.fit` is the one whose figures these are.
         """
+        # The final fit has used all points: it is the better map, the other one the honest figure.
         return self.final or self.fit
 
     def project(self, ground: ArrayLike) -> FloatArray:
@@ -325,6 +328,7 @@ class Result(Glance):
 
         It includes what all places have in common, where that is known (`shared_sigma`).
         """
+        # Independent errors: their squares add.
         return np.hypot(self.exported.sigma(ground, measured=measured), self.shared_sigma or 0.0)
 
     def locate(self, image: ArrayLike, height: ArrayLike | Surface) -> FloatArray:
@@ -400,6 +404,7 @@ class Result(Glance):
             read or has another size, or the extra `report` is not installed.
         """
         path = Path(path)
+        # Before the charts are drawn, which take seconds.
         if not overwrite and is_there(path):
             raise TermselError("this file already exists", file=path,
                                hint="Choose another name, or pass overwrite=True.")
@@ -441,6 +446,7 @@ class Result(Glance):
             (counts.control, "control point"), (counts.lines, "control line"),
             (counts.check, "selection point"), (counts.independent, "independent check point"))
             if n]
+        # The strategy auto fits to the check points, too.
         used = len(record.selection.features) + counts.check * bool(self.strategy)
         left_out_ids = [outlier.id for outlier in self.outliers if outlier.excluded]
         title = f"{title_of(record)} ({self.model})" if self.strategy else title_of(record)

@@ -108,8 +108,9 @@ def _with_heights(features: FeatureSet) -> FeatureSet:
     """Return the features without those that lack a height, if the others have them; say so."""
     # As a run does: otherwise one blank height would cost all heights.
     blank = to_leave_out(features)
-    if blank:
-        log.warning("Note: %s", note_on_blank(blank, features))
+    if not blank:
+        return features
+    log.warning("Note: %s", note_on_blank(blank, features))
     return with_roles(features, dict.fromkeys(blank, "off"))
 
 

@@ -98,9 +98,11 @@ def compare(
     labels = {cell.key: cell.labels for cell in cells}
     folders = folders_of(labels)
     with ExitStack() as stack:
+        # Without a folder a study keeps its journal all the same, until it ends.
         directory = Path(out) if out is not None else stack.enter_context(private_folder())
         plugins = _plugins(cells, spec)
         journal = _begun(stack, directory, {**versions(), **plugins})
+        # Read before the plan is replaced, to tell what has changed since.
         before = keys_by_labels(directory)
         write_plan(spec, cells, workers, directory)
         finished = {cell.key: journal.records[cell.key] for cell in cells
@@ -113,6 +115,7 @@ def compare(
             f"{progress.time_left()}", progress.finished == progress.total))
         for remark in journal.remarks:
             log.warning(remark)
+        # The same labels under another key: its data or its code are other ones.
         changed = {key for cell in cells if cell.key not in finished
                    and (key := before.get(tuple(cell.labels.values()))) in journal.records}
         if changed:
@@ -124,9 +127,11 @@ def compare(
         for observe in observers:
             observe(tally.progress())
         waiting = [cell for cell in cells if cell.key not in finished]
+        # The first Ctrl-C lets the cells under way end: their work is kept.
         stopped = stack.enter_context(deferred(lambda: log.warning(FINISHING)))
         for outcome in _outcomes(waiting, stopped, workers, scheduler, plugins):
             key = outcome.record.cell
+            # Files first: what the journal calls finished has them.
             if out is not None and outcome.files:
                 write_files(directory / IMAGES / folders[key], outcome.files)
             journal.append(outcome.record)
@@ -161,6 +166,7 @@ def plan_cells(spec: Spec, folder: Path) -> list[Cell]:
     """Return the cells of a study, all checked; file names are relative to `folder`."""
     for i, name in enumerate(spec.exports):
         try:
+            # Unknown formats are refused before the first cell, not after hours.
             writer_of(name)
         except TermselError as error:
             raise spec.places.error(("exports", i), error.what, error.hint) from error
@@ -173,6 +179,7 @@ def works_of(cells: list[Cell]) -> tuple[list[Cell], dict[str, FeatureSet]]:
 
     Features travel once to each worker, not with every cell.
     """
+    # Cells go to other processes: features once each, not with every cell.
     works = [replace(cell, labels={}, data=replace(cell.data, features=None))
              for cell in cells if cell.data.features is not None]
     return works, {cell.data.key: cell.data.features for cell in cells
@@ -230,6 +237,7 @@ def _begun(stack: ExitStack, folder: Path, current_versions: Mapping[str, str]) 
     stack.enter_context(locked(
         folder, "Wait for it, or choose another --out. "
                f"`termsel compare --status {folder}` shows how far it is."))
+    # Files of another program with such names must not be replaced.
     outputs = [name for name in (*names(), PLAN, IMAGES) if (folder / name).exists()]
     if outputs and not (folder / JOURNAL).exists():
         raise TermselError(f"the folder has {outputs[0]}, but no journal of a study",
@@ -270,6 +278,7 @@ def _outcomes(cells: list[Cell], stopped: Callable[[], bool], workers: int,
         yield from on_cluster(works, features, stopped, scheduler, plugins)
         return
     if workers == 1:
+        # Other programs may crash: they run in a process of their own.
         yield from serial([cell for cell in works if not cell.others], features, stopped)
         yield from contained([cell for cell in works if cell.others], features, stopped)
         return

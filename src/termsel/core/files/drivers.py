@@ -107,12 +107,14 @@ def allow_driver(*names: str) -> Iterator[None]:
     >>> with termsel.allow_driver("GIF"):
     ...     pass  # read files here that you trust
     """
+    # GDAL takes names in any case; the list has them as it writes them.
     driver_names = {name.casefold(): name for name in
              (*RASTER_DRIVERS, *VECTOR_DRIVERS, *WORKING_DRIVERS, *_OTHERS)}
     for name in names:
         if name.casefold() not in driver_names:
             raise TermselError(f"GDAL has no driver {name!r}",
                                hint="gdalinfo --formats lists their names.")
+    # In addition to those of a block around this one.
     token = _extra.set((*_extra.get(), *(driver_names[name.casefold()] for name in names)))
     try:
         yield
@@ -171,6 +173,7 @@ def gdal_options() -> dict[str, str]:
 
 def skipped() -> str:
     """Return the drivers that are off, as the variable GDAL_SKIP takes them."""
+    # Both kinds, as a process has one list of drivers.
     working = {*raster_drivers(), *vector_drivers(), *WORKING_DRIVERS}
     return ",".join(name for name in (*_OTHERS, *VECTOR_DRIVERS, *RASTER_DRIVERS)
                     if name not in working)
@@ -181,6 +184,7 @@ def program_environment(before: Mapping[str, str]) -> dict[str, str]:
 
     Its drivers and requests are refused as those of termsel are.
     """
+    # A host in no_proxy would be asked without the proxy that refuses all.
     environment = {key: value for key, value in before.items()
                    if key.casefold() != "no_proxy"} | gdal_options() | {
         "GDAL_SKIP": skipped()}
@@ -193,6 +197,7 @@ def without_exceptions() -> Iterator[None]:
     if remote_allowed():
         yield
         return
+    # The environment is of the process: other threads do without them, too.
     lifted = {key: os.environ.pop(key) for key in ("no_proxy", "NO_PROXY") if key in os.environ}
     try:
         yield
@@ -223,6 +228,7 @@ def own_drivers() -> Iterator[None]:
     if not _own_process:
         yield
         return
+    # GDAL reads them once, when it registers its drivers.
     before = {key: os.environ.get(key) for key in ("GDAL_SKIP", "OGR_SKIP", "GDAL_CACHEMAX")}
     os.environ["GDAL_SKIP"] = os.environ["OGR_SKIP"] = skipped()
     # By default GDAL takes a twentieth of the machine's memory.

@@ -72,6 +72,7 @@ class Recipe:
         if self.control not in ("points", "lines", "both"):
             raise TermselError(f"recipe {self.name!r} has the control {self.control!r:.100}",
                                hint="Give points, lines or both.")
+        # A plugin's mistake is told when it is made, not when the option is used.
         not_options = [option for option in self.options if not isinstance(option, Option)]
         if not_options:
             raise TermselError(f"recipe {self.name!r} has the option {not_options[0]!r:.100}",
@@ -216,6 +217,7 @@ def undeclared_options(recipe: Recipe) -> tuple[Option, ...]:
     A recipe that declares none of those of `SelectionProblem` has them all the same; whether its
     problem is one is known when it has been built, from `options_of`.
     """
+    # A recipe with objectives declares all that it takes.
     declared = {option.name for option in recipe.options}
     return () if OBJECTIVES.name in declared else tuple(
         option for option in _ALSO if option.name not in declared)
@@ -225,6 +227,7 @@ def options_of(problem: Problem) -> frozenset[str]:
     """Return the names of the options that a problem has by being a `SelectionProblem`."""
     if not isinstance(problem, SelectionProblem):
         return frozenset()
+    # What is selected tells which options have a meaning.
     names = {segment.name for segment in problem.genome.segments}
     options: tuple[Option, ...] = OF_BOTH
     if "features" not in names:

@@ -49,6 +49,7 @@ class MicmacXml(Reader):
 
     def sniff(self, path: Path, head: bytes) -> bool:
         """Return True for XML with measures or with points on the ground."""
+        # By the root elements; either file may be given.
         return head.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<") and (
             _MEASURES.encode() in head or _GROUND.encode() in head)
 
@@ -62,6 +63,7 @@ class MicmacXml(Reader):
             raise TermselError(f"no point of the image {image} has ground coordinates",
                                file=path, hint="Give the file of the same points, "
                                                "--set ground=FILE.")
+        # MicMac writes column and row, from the centre of the first pixel.
         line_sample = [marks[image][name][::-1] for name in ids]
         try:
             return FeatureSet(Points(tuple(ids), np.array(line_sample),
@@ -78,6 +80,7 @@ class MicmacXml(Reader):
         """Return the places on the ground, from the file itself or the one that belongs to it."""
         stated = self.options["ground"]
         root = xml_root(path, _HINT)
+        # Some programs write both into one file.
         if stated is None and root.find(".//OneAppuisDAF") is not None:
             return _ground_of(root, path)
         ground = _ground_file(path) if stated is None else Path(stated)
@@ -91,6 +94,7 @@ class MicmacXml(Reader):
 def _ground_file(path: Path) -> Path:
     """Return the file of the ground that belongs to a file of measures, by its name."""
     for ending, ground_ending in _ENDINGS.items():
+        # SaisieAppuisInit ends names so, in whatever case the system kept.
         if path.name.lower().endswith(ending.lower()):
             return path.with_name(path.name[:-len(ending)] + ground_ending)
     return path.with_name(f"{path.stem}-S3D.xml")
@@ -104,6 +108,7 @@ def _marks(path: Path) -> dict[str, dict[str, list[float]]]:
         image_marks = marks.setdefault((image.findtext("NameIm") or "").strip(), {})
         for mark in image.iter("OneMesureAF1I"):
             name = (mark.findtext("NamePt") or "").strip()
+            # Two marks would silently be one of them.
             if name in image_marks:
                 raise TermselError(f"the point {name!r} is measured twice in one image", file=path,
                                    hint="Remove one of its measures.")
@@ -162,6 +167,7 @@ class MicmacXmlWriter(PointsWriter):
         self.require(result, path)
         checked = checked_points(result, with_heights=True)
         require_points(checked, path, self.needs)
+        # MicMac has no check points: they would become control.
         checked = checked.without_checks()
         control = checked.points
         if not len(control):
