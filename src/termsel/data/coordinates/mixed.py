@@ -64,7 +64,7 @@ def _two_zones(features: FeatureSet) -> str:
             # Which of the two is the zone of the CRS, the coordinates do not tell.
             direction = "west" if neighbour < zone else "east"
             return (f"{len(ids)} of {len(features.points)} points look as if they were in the zone "
-                    f"of UTM {direction} of that of the others: {first_of(ids, NAMED)}. "
+                    f"of UTM {direction} of that of the others: {first_of(ids, MAX_POINTS_NAMED)}. "
                     "Transform them into one zone, and state its CRS.")
     return ""
 
