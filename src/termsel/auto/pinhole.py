@@ -11,7 +11,7 @@ from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points
 from termsel.data.fit_data import is_off_plane
 from termsel.data.monomials import monomials
 from termsel.data.scaling import Scaling
-from termsel.data.view import CLEARER, View, view_of
+from termsel.data.view import CLEARER, CentralView, view_of
 from termsel.fitting.fit import Estimator, Fit, HeldOut, Undetermined
 from termsel.fitting.pinhole import PINHOLE_MIN_POINTS, Pinhole, pinhole_near, pinhole_of
 from termsel.fitting.uncertainty import Spread
@@ -82,7 +82,7 @@ class PinholeCamera(Estimator):
         factors = camera.factors(_with_heights(camera, fitted.model, ground))
         return Spread((factors**2).sum(axis=2), np.full(2, camera.sigma**2), factors)
 
-    def view(self, features: FeatureSet, scaling: Scaling) -> View | None:
+    def view(self, features: FeatureSet, scaling: Scaling) -> CentralView | None:
         """Return the camera as the view of scaled features."""
         camera = pinhole_of(features, scaling)
         return super().view(features, scaling) if camera is None else camera.view

@@ -19,7 +19,7 @@ from termsel.data.coordinates.metres import height_unit, plan_of
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray, Points
 from termsel.data.lattices import Lattice, lattice_of
 from termsel.data.scaling import Scaling, in_fit_crs, metres_of, scaling_of
-from termsel.data.view import View, view_of
+from termsel.data.view import CentralView, view_of
 
 FLAT = 1e-8
 """Scaled distance from a plane up to which heights are taken to lie on it: rounding."""
@@ -237,7 +237,7 @@ def _effects(control: FitData, scaled: FloatArray) -> FloatArray:
     return np.asarray(PARALLAX * metres[2] * across.max(axis=1))
 
 
-def _view(control: FitData) -> View | None:
+def _view(control: FitData) -> CentralView | None:
     return view_of(control.scaled.points)
 
 

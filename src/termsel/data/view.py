@@ -38,7 +38,7 @@ _DETERMINED = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class CentralView:
     """A central projection of scaled places.
 
     Parameters
@@ -110,7 +110,7 @@ class View:
         return np.stack([np.linalg.norm(move, axis=1) for move in moves], axis=1)
 
 
-def view_of(points: Points) -> View | None:
+def view_of(points: Points) -> CentralView | None:
     """Return the central projection that scaled points call for, or None.
 
     A DLT, or a projective transformation of the plane where heights are not known or tell nothing.
@@ -119,7 +119,7 @@ def view_of(points: Points) -> View | None:
 
 
 @lru_cache(maxsize=16)
-def _view_of(measurements: Measurements) -> View | None:
+def _view_of(measurements: Measurements) -> CentralView | None:
     """Return the same; equal points are asked for many times, whatever else is known of them."""
     points = measurements.points
     if len(points) > MAX_VIEW_POINTS:
@@ -152,7 +152,7 @@ def _affine(columns: FloatArray, image: FloatArray) -> float | None:
     return float(np.sqrt((residuals**2).sum() / freedom))
 
 
-def _fitted(columns: FloatArray, points: Points, largest_sigma: float) -> View | None:
+def _fitted(columns: FloatArray, points: Points, largest_sigma: float) -> CentralView | None:
     """Return the projection of least distances, if it leaves less than some standard deviation.
 
     None if not determined, or with points behind, too.
@@ -173,7 +173,7 @@ def _fitted(columns: FloatArray, points: Points, largest_sigma: float) -> View |
     if best_matrix is not None:
         closest = points.image[best] - _seen(best_matrix, columns[best])
         noise = float(np.sqrt((closest**2).sum() / (closest.size - unknown)))
-    return View(matrix, points.ground, sigma, min(noise, sigma))
+    return CentralView(matrix, points.ground, sigma, min(noise, sigma))
 
 
 def _least_distances(columns: FloatArray, image: FloatArray) -> FloatArray | None:

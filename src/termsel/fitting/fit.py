@@ -23,7 +23,7 @@ from termsel.data.features import BoolArray, FeatureSet, FloatArray, Lines, Poin
 from termsel.data.locate import Surface, locate
 from termsel.data.record.base import Settings
 from termsel.data.scaling import Scaling, scaling_of
-from termsel.data.view import View, view_of
+from termsel.data.view import CentralView, view_of
 from termsel.fitting.extrapolation import by_heights
 from termsel.fitting.misfit import Misfit, misfit_of
 from termsel.fitting.residuals import Residuals, Rmse, control_residuals, rmse_of
@@ -90,7 +90,7 @@ class Estimator(ABC):
         return spread_of(fitted.model, used, fitted.terms, fitted.adjustment, ground, image,
                          least_squares=self.least_squares)
 
-    def view(self, features: FeatureSet, scaling: Scaling) -> View | None:
+    def view(self, features: FeatureSet, scaling: Scaling) -> CentralView | None:
         """Return the central projection that scaled features in use call for, or None."""
         return view_of(features.points)
 
@@ -377,7 +377,7 @@ class Fit(Glance):
         return np.where(np.median(denominators, axis=0) < 0.0, -1.0, 1.0)
 
     @cached_property
-    def view(self) -> View | None:
+    def view(self) -> CentralView | None:
         """The central projection that the points in use call for, of scaled places, or None."""
         return (self.original or self).estimator.view(self._scaled_used, self.scaling)
 

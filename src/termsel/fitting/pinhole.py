@@ -31,7 +31,7 @@ import numpy as np
 from termsel.adjustment.equations import weights_of
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray
 from termsel.data.scaling import Scaling, metres_of
-from termsel.data.view import View
+from termsel.data.view import CentralView
 
 EXPECTED_FOCAL, FOCAL_LOG_DEVIATION = 1.8, 0.7
 """Focal length by the half diagonal of the image, and the standard deviation of its logarithm: from
@@ -345,9 +345,10 @@ class Pinhole:
                           + np.outer(np.append(middle[:2], 0.0), columns[2]))
 
     @property
-    def view(self) -> View:
+    def view(self) -> CentralView:
         """The camera as a view of scaled places."""
-        return View(self.matrix, self.measured.ground / self.measured.unit, self.sigma, self.sigma)
+        return CentralView(self.matrix, self.measured.ground / self.measured.unit, self.sigma,
+                           self.sigma)
 
     def factors(self, ground: FloatArray) -> FloatArray:
         """Return factors of the covariance of what is seen of scaled places, (m, 2, 9)."""
