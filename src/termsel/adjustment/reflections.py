@@ -91,6 +91,8 @@ def _reflector(count: int) -> Any:
                 spread(builder, builder.load(builder.gep(vector, [row]))) for vector in v]
 
         def accumulate(row: Any, sums: list[Any]) -> list[Any]:
+            """Add the products of some rows to partial sums, which are independent of each other.
+            """
             new = []
             for i in range(0, len(sums), count):
                 _, values, weights = load(builder.add(row, row.type(i // count)))
@@ -112,6 +114,7 @@ def _reflector(count: int) -> Any:
             a[1] = builder.fmul(factors[1], builder.fsub(a[1], builder.fmul(product, a[0])))
 
         def subtract(row: Any, _: list[Any]) -> list[Any]:
+            """Subtract the multiples of the reflection's vectors from some rows."""
             address, values, weights = load(row)
             products = [builder.fmul(weight, factor)
                         for weight, factor in zip(weights, a, strict=True)]

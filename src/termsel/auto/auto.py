@@ -143,6 +143,7 @@ class Auto(Method):
         return self._call(method, hook, lambda: getattr(method, hook)(*args))
 
     def _call(self, method: Method, hook: str, call: Callable[[], Any]) -> Any:
+        """Return what a hook of a method returns; None where it fails, which is told once."""
         # What failed once is not asked again: it would slow the run and say the same.
         if method.name in self.faults:
             return None
@@ -395,6 +396,9 @@ class Auto(Method):
 
     def _errors_in_folds(self, data: FitData, watch: Watch, folds: int,
                          choice: Choice | None) -> FloatArray | None:
+        """Return the errors [px] of features by the choice without their fold; None if none is
+        left.
+        """
         features = data.features
         order = spatial_order(ground_centres(features))
         # Points first, then the vertices of lines.
@@ -434,6 +438,9 @@ class Auto(Method):
         fewest = self.fewest(data)
 
         def fit_without(excluded: BoolArray) -> Fit | None:
+            """Return the fit of the method that is chosen without some features; None if too few
+            remain.
+            """
             remaining = _without(data, excluded)
             chosen = None if len(remaining) < fewest else \
                 choice_for_parts.choose_features(remaining, watch, with_contained=False)

@@ -81,6 +81,7 @@ def find_blunders(control: FitData, auto: Auto | None = None) -> Suspects | None
 
 
 def _suspects_of(control: FitData, auto: Auto) -> Suspects | None:
+    """Return what the features say of each other: blunders, probable ones and open cases."""
     everything = np.ones(len(control), dtype=bool)
     # Asked for at several places, if at all.
     test_of_all = cache(Division(control, everything).shrunken_test)

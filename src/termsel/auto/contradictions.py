@@ -266,6 +266,7 @@ class _PointPrediction:
 
 
 def _prediction_of_points(division: Division, degree: int) -> _PointPrediction | None:
+    """Return what a regularised polynomial of the points in use predicts; None if too few."""
     points = division.all_features.features.points
     used = division.used
     scaling = division.in_use.scaling

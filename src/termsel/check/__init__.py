@@ -96,6 +96,7 @@ def is_certificate(path: str | Path) -> bool:
 
 
 def _checked(content: Any) -> tuple[list[str], int]:
+    """Return the lines that say what a certificate proves, and how many selections stay open."""
     stated = content.pop("sha256")
     if content["schema"] != SCHEMA:
         raise Refused(f"it is a {content['schema']!r:.40}, not a {SCHEMA}; write it again")

@@ -109,6 +109,7 @@ def _lines(title: str, total: float | None) -> Callable[..., None]:
 
     def renew(*, completed: float, total: float | None = total, description: str = title,
               state: str = "") -> None:
+        """Print the progress as a line of JSON, unless the last one is too recent."""
         nonlocal printed
         share = completed / total if total else None
         # The last line is never left out: a reader waits for 100 %.

@@ -211,6 +211,7 @@ def _keys_of(options: dict[str, Any]) -> dict[str, Any]:
 
 
 def _show_status(folder: Path) -> None:
+    """Print how far the study in a folder is, and who is at work on it."""
     from termsel.studies.cells.folder import status
 
     progress, holder = status(folder)
@@ -250,6 +251,7 @@ def _list_files(study: Path | None, keys: dict[str, Any]) -> None:
 
 
 def _show_plan(study: Path | None, keys: dict[str, Any], workers: int) -> None:
+    """Print the kinds of cells of a study, with the time that all of them take."""
     from termsel.studies.compare import estimate
     from termsel.studies.execution.progress import duration
 

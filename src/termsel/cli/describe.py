@@ -98,6 +98,7 @@ def _describe_data() -> None:
 
 
 def _describe_problem(entry: Entry) -> None:
+    """Print the defaults of a problem and its options."""
     recipe = entry.object
     # Of two rules the one that is met first ends the search.
     rules = {"{} generations": recipe.generations,
@@ -135,6 +136,7 @@ def _settings(options: Mapping[str, Any]) -> str:
 
 
 def _describe_model(entry: Entry) -> None:
+    """Print what a model needs, its options and its terms."""
     _document(entry)
     _pairs({"heights": "required" if entry.object.uses_height else "not used"})
     _options(entry.object.declared_options)
@@ -149,6 +151,7 @@ def _describe_model(entry: Entry) -> None:
 
 
 def _describe_solver(entry: Entry) -> None:
+    """Print what a solver can do, its options, and how it departs from its paper."""
     _document(entry)
     from termsel.selection.solvers.budget import EVALUATIONS, SEARCH_OPTIONS
 
@@ -174,6 +177,7 @@ def _describe_criterion(entry: Entry) -> None:
 
 
 def _describe_function(entry: Entry) -> None:
+    """Print what a thing made of one function does, and how it is asked for."""
     declared = entry.object
     (made_by, use) = _FUNCTIONS[type(entry.object).__name__]
     # The docstring's first line says what the function returns; the summary says what that is.
@@ -191,6 +195,7 @@ _FUNCTIONS = {
 
 
 def _describe_method(entry: Entry) -> None:
+    """Print when auto chooses a method, and how to fit it alone."""
     # In the order in which the choice itself asks: the first that holds decides.
     method = entry.object
     _pairs({"chosen": "never: it is fitted where it is asked for" if method.on_request else
@@ -226,6 +231,7 @@ _DESCRIBE: dict[str, Callable[[Entry], None]] = {
 
 
 def _document(entry: Entry) -> None:
+    """Print the docstring of a class without its first paragraph, the summary."""
     thing = entry.object
     # Methods and criteria are objects, models and solvers classes.
     text = (thing if isinstance(thing, type) else type(thing)).__doc__
@@ -248,6 +254,7 @@ def _pairs(values: dict[str, Any]) -> None:
 
 
 def _options(options: Iterable[Option]) -> None:
+    """Print a table of options, or that there are none."""
     options = tuple(options)
     if not options:
         echo("\nNo options.")

@@ -149,6 +149,7 @@ class Commands(click.Group):
 
     def _end_with_code(self, args: Sequence[str] | None, prog_name: str | None,
                        complete_var: str | None, **extra: Any) -> NoReturn:
+        """Run a command, print what went wrong with it, and end with the code that says so."""
         try:
             try:
                 value = super().main(args, prog_name, complete_var, False, **extra)
@@ -269,6 +270,7 @@ def _printing_alone(command: click.Command) -> click.Command:
 
 
 def _plugin_command(name: str) -> click.Command | None:
+    """Return the command of a plugin by its name; None if no plugin has it."""
     from termsel.plugins.registry import registry
 
     names = registry()
@@ -287,6 +289,7 @@ def _blaming(command: click.Command) -> click.Command:
     invoke = command.invoke
 
     def blaming(ctx: click.Context) -> Any:
+        """Run a command of a plugin; an error of it that nobody meant names the plugin."""
         try:
             return invoke(ctx)
         # These are how commands end on purpose; all else is a fault of the plugin.
@@ -307,6 +310,7 @@ def _blaming(command: click.Command) -> click.Command:
 
 
 def _broken_command(name: str, why: str) -> click.Command:
+    """Return a command that explains why a plugin's command does not work."""
     def explain() -> None:
         raise TermselError(f"the command {name!r} is broken: {why}",
                            hint="Report it to its author, or install another version.")

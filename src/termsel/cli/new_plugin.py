@@ -132,6 +132,7 @@ def _filled(source: str, words: dict[str, str]) -> str:
 
 def _require_free(name: str, package: str, bare: str, kind: str, module: str,
                   plugin_name: str) -> None:
+    """Refuse a name of a package that cannot be one, or that something else has already."""
     if not _DISTRIBUTION_NAME.fullmatch(name) or keyword.iskeyword(package) or not bare:
         # What remains of the name without forbidden characters is the nearest that can be.
         near = "-".join(re.findall(r"[A-Za-z0-9]+", name)).lstrip("-0123456789")

@@ -23,6 +23,7 @@ def print_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
 
 
 def _draw(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print a table for people, with rich."""
     from rich.box import SIMPLE_HEAD
     from rich.console import Console
     from rich.table import Table

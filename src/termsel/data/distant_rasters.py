@@ -136,6 +136,7 @@ def _settings() -> dict[str, Any]:
 
 @cache
 def _helper(drivers: tuple[str, ...], remote: bool) -> Helper:
+    """Return the process that reads rasters with such drivers, started once."""
     with ExitStack() as stack:
         # The helper inherits the permission, which is a state of this process.
         if remote:

@@ -65,6 +65,7 @@ def at_random(ids: tuple[str, ...], _ground: FloatArray, shares: FloatArray,
 
 def _in_turn(order: Sequence[int] | np.ndarray, shares: FloatArray,
              rng: np.random.Generator) -> list[str]:
+    """Return a role for each place of an order, so that every stretch of it has all shares."""
     # Each place in the order goes to the role that lags most behind its share; among roles
     # that lag alike the draw decides, so that different seeds give different splits.
     names = ASSIGNABLE

@@ -114,6 +114,7 @@ def point_residuals(points: Points, errors: FloatArray, role: str,
 
 def _of_control(control: FeatureSet, used: tuple[bool, ...], errors: FloatArray,
                 line_errors: FloatArray) -> Iterator[Residual]:
+    """Yield the residuals of points, then of the vertices of lines, piece by piece."""
     points = control.points
     lines = control.lines
     yield from _rows(points.ids, errors, points.ground, "control", used[:len(points)])

@@ -235,6 +235,7 @@ def _grid(fitted: Fit, convert: Callable[[FloatArray], FloatArray], across: int,
 
 
 def _refitted(image: FloatArray, ground: FloatArray, terms: BoolArray, ridge: float = 0.0) -> Rpc:
+    """Return an RPC with some terms that is fitted to positions of the model."""
     model = RationalFunctions(ridge=ridge)
     if np.ptp(ground[:, 2]) < 1e-6:
         # At a single height all terms with Z are constants times others.
@@ -256,6 +257,7 @@ def _has_pole(rpc: Rpc, ground: FloatArray) -> bool:
 
 
 def _loss(rpc: Rpc, ground: FloatArray, image: FloatArray) -> tuple[float, float]:
+    """Return the largest distance [px] between RPC and model, and its root mean square."""
     if not len(ground):
         return float("inf"), float("inf")
     # A pole gives an infinite distance, which refuses the RPC.

@@ -46,6 +46,7 @@ def crs_next_to(path: Path) -> str:
 
 
 def _crs_of_file(path: Path) -> str:
+    """Return the CRS that a text, a vector file or a raster states; refuse one without."""
     if path.suffix.lower() in _TEXTS:
         return _crs_of_text(path)
     head = read_head(path, _NO_CRS)

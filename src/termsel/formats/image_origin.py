@@ -105,6 +105,7 @@ def _turned(features: FeatureSet, origin: str, size: tuple[int, int] | None) -> 
                            hint="Give the image with --image FILE.")
 
     def turned(image: FloatArray) -> FloatArray:
+        """Return line and sample from the centre of the upper-left pixel."""
         line, sample = np.moveaxis(image, -1, 0)
         if start == UP:
             line = -line

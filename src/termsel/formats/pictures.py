@@ -132,6 +132,7 @@ def _text_of_vrt(raster: Any) -> str:
 
 
 def _band(raster: Any, number: int, element: ElementTree.Element, thematic: bool) -> Band:
+    """Return what a VRT must know of one band."""
     def text_of(name: str, default: str) -> str:
         return element.findtext(name) or default
 

@@ -136,6 +136,7 @@ def with_rpc(features: FeatureSet, rpc: Rpc | Path | str,
 
 
 def _read(path: Path, head: bytes, rpc_name: str) -> Rpc:
+    """Return the RPC of an image, of XML, or of text with names and values."""
     if b"\0" in head and not is_utf16(head):
         items, of_bands = _in_image(path)
         if not items and not of_bands:
@@ -245,6 +246,7 @@ def from_items(items: Mapping[str, str]) -> Rpc:
         return _number(words[0], name)
 
     def coefficients_of(name: str) -> tuple[float, ...]:
+        """Return the 20 coefficients of one polynomial."""
         # 20 numbers in one item, or an item each.
         if name not in items:
             return tuple(number_of(f"{name}_{i + 1}") for i in range(N_COEFFICIENTS))
@@ -270,6 +272,7 @@ def from_items(items: Mapping[str, str]) -> Rpc:
 
 
 def _number(text: str, name: str, line: int | None = None) -> float:
+    """Return a text as a number; errors name the item and its line."""
     try:
         return float(text.replace("_", "?"))  # Python reads 1_000, no other program does
     except ValueError:
@@ -279,6 +282,7 @@ def _number(text: str, name: str, line: int | None = None) -> float:
 
 
 def _from_xml(path: Path, name: str) -> Rpc:
+    """Return the RPC of XML by GDAL or a vendor."""
     content = read_data(path)
     # Without a declaration it is GDAL's, which writes names of files with the bytes they have.
     declared = content.lstrip().startswith(b"<?xml")

@@ -88,6 +88,7 @@ def write_example(folder: Path) -> None:
 
 
 def _scene(folder: Path) -> Points:
+    """Write the image, its heights, control and vendor's RPC; return the control points."""
     pixels, points = picture_and_points()
     (folder / "scene.tif").write_bytes(tiff_bytes(pixels[None]))
     # Some 20 m on the ground, wider than the scene.
@@ -103,6 +104,7 @@ def _scene(folder: Path) -> Points:
 
 
 def _other_forms(folder: Path, points: Points, on_map: FloatArray) -> None:
+    """Write the control without a header, and as QGIS saves it."""
     from pyproj import CRS as Known
 
     rows = zip(points.ids, points.ground.tolist(), points.image.tolist(), strict=True)
@@ -155,6 +157,7 @@ def _matches(folder: Path, to_map: Callable[[FloatArray], FloatArray]) -> None:
 
 
 def _places(folder: Path) -> None:
+    """Write ground places and image positions, to be projected and located."""
     rng = np.random.default_rng(6)
     # Within the image, not at its edge, where no control is near.
     image = rng.uniform(0.05, 0.95, (17, 2)) * SIZE
@@ -187,6 +190,7 @@ def _control_features(folder: Path) -> None:
 
 
 def _roads(folder: Path, lines: Lines) -> None:
+    """Write lines of a map, and the same ones measured in the image."""
     features = [{"type": "Feature", "properties": {"name": name}, "geometry": {
         "type": "LineString", "coordinates": ground}} for name, ground in zip(
             lines.ids[:30], lines.ground[:30].tolist(), strict=True)]
@@ -199,6 +203,7 @@ def _roads(folder: Path, lines: Lines) -> None:
 
 
 def _batch(folder: Path) -> None:
+    """Write the control of five images, one of them with a blunder."""
     folder.mkdir()
     for i in range(1, 6):
         points = kept_features("termsel.simulate", f"image-{i}").points

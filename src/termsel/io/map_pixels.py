@@ -244,6 +244,7 @@ def warp(raster: Any, output: Path, grid: MapGrid, spec: MapPixels, *, tags: Map
     lost = 0
 
     def pixels(window: Any, transform: Any) -> tuple[Values, Mask]:
+        """Return the values of a tile of the map, and where it has any."""
         nonlocal lost
         shape = window.height, window.width
         if positions is not None:

@@ -112,6 +112,7 @@ def project_table(
 
 def _warnings(missed: Sequence[str], hidden: Sequence[str], far: Sequence[str], *, encloses: bool,
               inverse: bool) -> Iterator[str]:
+    """Yield what is wrong with projected or located points, in clauses."""
     if not encloses:
         yield "the control encloses no area, so `outside` cannot be computed"
     if hidden:

@@ -281,6 +281,7 @@ def _is_recognised(path: Path, readers: Iterable[type[Reader]]) -> bool:
 
 def _read_frame(frame: Any, crs: str | None, options: Mapping[str, Any],
                 origin: Origin | None = None) -> FeatureSet:
+    """Return the features of a table in Python, such as a DataFrame."""
     from termsel.formats.readers.frames import read_frame
 
     for name in options.keys() - {"columns", "decimal"}:
@@ -535,6 +536,7 @@ def _with_areas(features: FeatureSet, areas: FeatureSet, path: Path) -> FeatureS
 
 
 def _refuse_idle(options: Mapping[str, Any], reader_of: Mapping[Path, Reader]) -> None:
+    """Refuse an option of reading that no reader of these files has."""
     for key in options:
         if not any(key in reader.options for reader in reader_of.values()):
             names = dict.fromkeys(reader.name for reader in reader_of.values())
@@ -545,6 +547,7 @@ def _refuse_idle(options: Mapping[str, Any], reader_of: Mapping[Path, Reader]) -
 
 
 def _check_kinds(path: Path, counts: dict[str, int], expected: dict[str, bool]) -> None:
+    """Refuse a file without what it was given as, or with more than that."""
     present = [kind for kind, count in counts.items() if count]
     for kind in counts:
         # The counts are of what the file holds, the expected kinds of what it was given as.
@@ -560,6 +563,7 @@ def _check_kinds(path: Path, counts: dict[str, int], expected: dict[str, bool]) 
 
 
 def _agreed_crs(sets: dict[Path, FeatureSet], stated: str | None) -> str:
+    """Return the CRS of all files: that which is stated, or that in which they agree."""
     agreed = stated
     source = "--crs"
     for path, features in sets.items():

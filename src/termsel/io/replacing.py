@@ -120,6 +120,7 @@ def _sources(reads: Iterable[object]) -> Iterator[Path]:
 
 
 def _is_vrt(path: Path) -> bool:
+    """Return whether a file is a virtual raster, by its beginning."""
     if not path.is_file():
         # A folder has no content to look into.
         return False

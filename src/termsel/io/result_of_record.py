@@ -198,6 +198,7 @@ def _refuse_other_model(record: Record, fitted: Fit, observations: Observations)
 
 
 def _made_by(record: Record) -> str:
+    """Return a sentence on the class or version of the model that a run used."""
     plugin = record.plugins.get("model")
     if plugin is not None and plugin.class_:
         return (f"The run used the class {plugin.class_} as it was then. Register that one, or "

@@ -261,6 +261,7 @@ class RationalModel(SensorModel):
         return self._denominators(coefficients, self._columns(ground))
 
     def _denominators(self, coefficients: FloatArray, columns: Columns) -> FloatArray | None:
+        """Return denominators (..., n, 2) of line and sample; None if the model has none."""
         if not columns.keys() & {"line_denominator", "sample_denominator", "shared_denominator"}:
             return None
         # A denominator is 1 + d c, its own or that of both axes.

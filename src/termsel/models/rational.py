@@ -81,6 +81,7 @@ class RationalFunctions(MonomialModel):
         return equations and replace(equations, prior=self._prior(features))
 
     def _prior(self, features: FeatureSet) -> FloatArray | None:
+        """Return the weights that hold the terms of denominators near 0; None without any."""
         ridge = self.options["ridge"]
         if ridge is None:
             # A DLT has so few denominators that lines determine them.

@@ -91,6 +91,7 @@ def _plain(slot: Slot, implementation: pluggy.HookImpl, arguments: Arguments, ac
     """Return an implementation that never raises; what it returns is a list of things."""
     @wraps(implementation.function)
     def answer(*_args: Any, **_keywords: Any) -> list[Any] | None:
+        """Return what one plugin gives for the hook; note its fault if it fails."""
         items, reason = slot.attempt(
             lambda: accept(_called(implementation, slot.plugin, arguments)), seconds)
         if reason is not None:
@@ -106,6 +107,7 @@ def _wrapper(slot: Slot, implementation: pluggy.HookImpl, arguments: Arguments, 
     """Return a wrapper that never raises; if it fails, what it wraps is the result."""
     @wraps(implementation.function)
     def wrap(*_args: Any, **_keywords: Any) -> Generator[None, Any, Any]:
+        """Run a plugin's wrapper around the others; if it fails, their answers stand."""
         def begin() -> Generator[None, Any, Any]:
             running: Generator[None, Any, Any] = _called(implementation, slot.plugin, arguments)
             next(running)

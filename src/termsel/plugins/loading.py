@@ -84,6 +84,7 @@ def attempt(call: Callable[[], T], package: str = OWN, seconds: float | None = N
     called as it is. Returned are the value and None, or None and what was raised.
     """
     def contained() -> tuple[T, None] | tuple[None, str]:
+        """Return what a call returns, or why it failed."""
         try:
             return call(), None
         # A plugin may raise anything at all, even leave the program while it is imported, and
@@ -207,6 +208,7 @@ class Loader:
         return points
 
     def _load(self, slot: Slot) -> None:
+        """Import a plugin once and register its hooks; note why that fails."""
         if slot.loaded:
             return
         slot.loaded = True

@@ -311,6 +311,7 @@ def _kept(plugin: Plugin, observe: Callable[[Progress], None]) -> Callable[[Prog
     failed = False
 
     def observed(progress: Progress) -> None:
+        """Tell the plugin's observer, until it fails for the first time."""
         nonlocal failed
         # After its first failure it is not called again: it would fail every generation.
         reason = None if failed else attempt(lambda: observe(progress), package_of(observe))[1]

@@ -22,6 +22,7 @@ _COMPARED = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operat
 
 
 def _satisfied(clause: str, version: str) -> bool:
+    """Return whether a version meets a clause such as >=0.3; an unknown clause is met."""
     found = _CLAUSE.match(clause)
     if found is None:
         return True

@@ -110,6 +110,7 @@ def _fitted_in(record: Record) -> Iterator[Block]:
 
 
 def _accuracy(record: Record) -> Iterator[Block]:
+    """Yield what answers "How accurate is it?"."""
     yield Statement(statement(record))
     # Of computed points an RMSE would look like an accuracy.
     accuracy = None if are_computed(record) else record.accuracy
@@ -192,6 +193,7 @@ def _measured(record: Record, accuracy: Accuracy) -> Iterator[str]:
 
 
 def _rmse_on(accuracy: Accuracy) -> str:
+    """Return the RMSE of independent points with its interval in a sentence."""
     image = accuracy.image
     ground = accuracy.ground
     low, high = image.interval
@@ -202,6 +204,7 @@ def _rmse_on(accuracy: Accuracy) -> str:
 
 
 def _figures(accuracy: Accuracy, of: str) -> Iterator[Block]:
+    """Yield the errors of independent points as a table, with figures of standards."""
     image = accuracy.image
     ground = accuracy.ground
     rows = [("in the image", *_distances(image, "px", image.line, image.sample))]
@@ -245,6 +248,7 @@ def _shape(of: InImage | OnGround, unit: str, rmse: dict[str, float]) -> Iterato
 
 
 def _prediction(predicted: Predicted, *, exported: bool = False, lattice: bool = False) -> str:
+    """Return the predicted RMSE with its interval in a sentence."""
     # Whether the points to come are known decides what the prediction is about.
     of = f"at {counted(predicted.points, 'independent check point')}" if predicted.points \
         else "of new points within the control area"
@@ -261,6 +265,7 @@ def _distances(of: InImage | OnGround, unit: str, first: float, second: float) -
 
 
 def _compared(record: Record, view: View | None) -> Iterator[Block]:
+    """Yield what answers "Is it better than a conventional model?"."""
     yield record.judgement
     yield from map(Note, record.notes)
     yield from figure(view, "baselines")
@@ -313,6 +318,7 @@ def _fits(record: Record) -> TableBlock:
 
 
 def _figure(rmse: RoleRmse) -> str:
+    """Return an RMSE as a cell of a table; "exact" where only rounding is left."""
     total = rmse.total
     if total is None:
         return "-"
@@ -322,6 +328,7 @@ def _figure(rmse: RoleRmse) -> str:
 
 
 def _bad(record: Record, view: View | None) -> Iterator[Block]:
+    """Yield what answers "Which points are bad?"."""
     yield from map(Detail, verdict_table(record)) if are_all_named(record) \
         else verdict_table(record)
     if view is None:
@@ -345,6 +352,7 @@ def _bad(record: Record, view: View | None) -> Iterator[Block]:
 
 
 def _weak(view: View | None) -> Iterator[Block]:
+    """Yield what answers "Where is it weak?"."""
     if view is None:
         return
     # Without redundancy nothing tells how certain the model is.
@@ -366,6 +374,7 @@ def _made_by(record: Record) -> str:
 
 
 def _repeated(record: Record, view: View | None) -> Iterator[Block]:
+    """Yield how the run is repeated."""
     if view is None:
         yield Detail(f"{'' if record.strategy else f'Problem {record.problem}. '}"
                      f"{_made_by(record)}")

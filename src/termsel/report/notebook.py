@@ -37,6 +37,7 @@ def offline(chart: Any) -> Any:
 
 @cache
 def _offline(kind: Any) -> type:
+    """Return the class of a chart that notebooks show without a connection."""
     def bundle(self: Any, *args: Any, **kwds: Any) -> Any:
         # Who has chosen a renderer of Altair gets that.
         if require_altair().renderers.active != "default" or find_spec("vl_convert") is None:

@@ -113,6 +113,7 @@ def _facts(facts: Sequence[Fact]) -> str:
 
 
 def _block(block: Block, specs: dict[str, Any]) -> str:
+    """Return a block as HTML; the specification of a chart goes into `specs`."""
     if isinstance(block, Detail):
         return _block(block.block, specs)
     if isinstance(block, str):
@@ -132,6 +133,7 @@ def _block(block: Block, specs: dict[str, Any]) -> str:
 
 
 def _figure(figure: Figure, specs: dict[str, Any]) -> str:
+    """Return the place of a chart as HTML, and keep its specification."""
     # Charts are drawn by the browser from their specification, which is at the end of the page.
     specs[figure.name] = styled(figure.chart).to_dict()
     ratio = figure.chart.width / figure.chart.height if figure.keeps_ratio else 0
@@ -142,6 +144,7 @@ def _figure(figure: Figure, specs: dict[str, Any]) -> str:
 
 
 def _table(table: TableBlock) -> str:
+    """Return a table as HTML."""
     # The first column is the head of its row, which has a style of its own.
     word_classes = [""]
     for i in range(1, len(table.columns)):

@@ -214,6 +214,7 @@ class Plots:
 
 
 def _method(kind: ChartKind) -> Callable[[Plots], Any]:
+    """Return the method of `Plots` that draws a kind of chart."""
     def draw(plots: Plots) -> Any:
         return chart(plots._view, kind.name)
 

@@ -36,6 +36,7 @@ def not_by_command(record: Record) -> str:
 
 
 def _parts(record: Record) -> Iterator[str]:
+    """Yield the arguments of the command that repeats a run."""
     counts = record.data.counts
     # The problem stands first, as all else depends on it.
     yield f"--problem {shlex.quote(_full_name(record, 'problem'))}"

@@ -102,6 +102,7 @@ def _max_share(record: Record) -> float:
 
 
 def _proven(record: Record) -> Iterator[Block]:
+    """Yield what was proven of the selection, and how to have more proven."""
     if record.certificate:
         exact = "--solver exact"
         if _max_share(record) == 1.0:

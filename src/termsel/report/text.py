@@ -68,6 +68,7 @@ def _lines(blocks: Iterable[Block]) -> Iterator[str]:
 
 
 def _block(block: Block) -> Iterator[str]:
+    """Yield the lines of a block."""
     if isinstance(block, TableBlock):
         yield from _table(block)
     elif isinstance(block, Note):
@@ -93,6 +94,7 @@ def _fact(fact: Fact) -> Iterator[str]:
 
 
 def _table(table: TableBlock) -> Iterator[str]:
+    """Yield the lines of a table; of a long one how many rows it has."""
     if table.caption:
         yield table.caption
     if len(table.rows) > _LONGEST_TABLE:

@@ -87,6 +87,7 @@ def section_of(declared: ReportSection, result: Any) -> Section:
 
 
 def _made(declared: ReportSection, result: Any) -> Section:
+    """Return the section that a plugin declares, checked as far as it can fail later."""
     with blamed(declared.blocks, "blocks"):
         # A generator may have no end.
         blocks = tuple(islice(declared.blocks(result), _MAX_BLOCKS))

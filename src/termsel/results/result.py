@@ -231,6 +231,7 @@ class Result(Glance):
         return structs.replace(record, checksums=checksums_of(plain(record), self.features))
 
     def _content(self) -> Record:
+        """Return the content of result.json before it is made the same as when it is read."""
         # What is carried is the same in both; the rest is computed from fits and figures.
         final = self.final
         terms = self.fit.model.terms

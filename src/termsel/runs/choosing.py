@@ -323,6 +323,7 @@ def _final_fit(fitted: Fit, points: Points, heights: bool, auto: Auto,
 
 
 def _high(verdict: Verdict) -> list[str]:
+    """Return the sentence on points that are left out for their height, if there are any."""
     # Heights off a plane are no blunders: a model with heights would use them.
     high = [f"{outlier.id} ({outlier.error:.3g} px)" for outlier in verdict.outliers
             if outlier.id in verdict.high]
@@ -377,6 +378,7 @@ def _unused_rpc(data: FitData, auto: Auto, fitted: Fit | None = None) -> str:
 def _notes(model: SensorModel, observations: Observations, errors: FloatArray | None,
            interrupted: str = "", *, plane: bool, determined: bool,
            has_geometry: bool) -> list[str]:
+    """Return what the reader must know of the control and of the figures of a choice."""
     features = observations.together
     in_use = np.ones(len(features), dtype=bool)
     notes = [] if has_geometry else [*warnings_of(features, in_use, no_points())]

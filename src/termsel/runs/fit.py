@@ -89,6 +89,7 @@ def fit(features: Any, model: str | type[SensorModel] | SensorModel | Method = "
 
 @one_blas_thread
 def _by_method(method: Method, features: FeatureSet) -> Fit:
+    """Return the fit by a method that the user names."""
     # Check and independent points stay out, as in a run without them.
     data = FitData.of(control_of(_with_heights(features)))
     with blamed(method, "fit"):

@@ -188,6 +188,7 @@ def _times(ratio: float) -> str:
 
 
 def _compare(start: str, rmse: float, reference: float, title: str, *, determined: bool) -> str:
+    """Return a sentence on one RMSE against another."""
     figures = f"({_px(rmse)} against {_px(reference)}"
     figures += ")" if determined else ", which is rank-deficient)"
     ratio = _ratio(reference, rmse)

@@ -183,6 +183,7 @@ def run(
         require_resumable(task.solver)
 
     def result_of_run() -> Result:
+        """Return what the method, or the search, finds."""
         from termsel.runs.assess import assess
 
         if sole_method is not None:

@@ -307,6 +307,7 @@ def _certificate(task: Task, search: SearchResult, fitted: Fit) -> Certificate |
 
 
 def _proven(task: Task, search: SearchResult, fitted: Fit) -> Mapping[str, Any] | None:
+    """Return the certificate of a search, or how far from the optimum it is at most."""
     # What a solver of a plugin proves is its claim, and named as such.
     claim = plugins_of(task.request).get("solver")
     if search.certificate is not None and claim:

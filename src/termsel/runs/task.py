@@ -274,6 +274,7 @@ def with_shares(request: Request, *, auto: bool = False) -> Request:
 
 
 def _usual_shares(request: Request, *, auto: bool) -> str:
+    """Return the shares of roles where nobody states them."""
     # Points that are off take no part, nor do they count.
     roles = [role for role in request.features.points.roles if role != "off"]
     is_mixed = request.options["problem"].get("mixed")

@@ -125,6 +125,7 @@ def run_all(checks: Iterable[Check]) -> None:
 
 def _run(name: str, function: Callable[[Any], None], cases: tuple[Case, ...],
          reason: str | None) -> None:
+    """Run a check with its cases; one that is expected to fail must fail."""
     try:
         # One case that fails is enough, also where a failure is expected.
         for case in cases:
@@ -140,6 +141,7 @@ def _run(name: str, function: Callable[[Any], None], cases: tuple[Case, ...],
 
 
 def _run_case(name: str, function: Callable[[Any], None], case: Case) -> None:
+    """Run a check with one case, within its time, and name both in what fails."""
     try:
         # The user of the plugin would see a warning such as "divide by zero".
         with warnings.catch_warnings(), unguarded():

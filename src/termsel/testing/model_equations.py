@@ -221,6 +221,7 @@ def _require_recovered(model: SensorModel, features: FeatureSet, truth: FloatArr
 
 
 def _has_separate_denominators(model: SensorModel) -> bool:
+    """Return whether line and sample have denominators of their own."""
     if not isinstance(model, RationalModel):
         return False
     # A column in a denominator of its own couples a term with one axis only.

@@ -263,6 +263,7 @@ def _choices(model: type[SensorModel]) -> list[dict[str, Any]]:
 
 
 def _problems(model: SensorModel, features: FeatureSet) -> list[tuple[str, SelectionProblem]]:
+    """Return selections of terms and of features with a model, by title."""
     truth = random_coefficients(model, seeded())
     # Selection points by the same model, at other places.
     check = imaged(model, truth, np.random.default_rng(2), points=10).points

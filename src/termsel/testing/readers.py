@@ -190,6 +190,7 @@ def _read_or_refuse(example: Example, folder: str, content: bytes, description: 
 
 
 def _require_same(features: FeatureSet, expected: FeatureSet, description: str) -> None:
+    """Refuse features that differ from the expected ones, and say in what."""
     pairs = (
         ("ids of points", features.points.ids, expected.points.ids),
         ("ids of lines", features.lines.ids, expected.lines.ids),

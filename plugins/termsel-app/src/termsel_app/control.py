@@ -91,6 +91,7 @@ class ControlFeatures:
         return patches
 
     def _patch(self, patches: Iterable[Patch]) -> None:
+        """Make changes, so that a renamed feature keeps its rank."""
         for patch in patches:
             before = None if patch.before is None else patch.before["id"]
             after = None if patch.after is None else patch.after["id"]

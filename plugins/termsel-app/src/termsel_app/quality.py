@@ -95,6 +95,7 @@ def judged(question: Question) -> Iterator[Answer]:
 
 
 def _run(question: Question) -> Result:
+    """Return the result of a run with the control of a question."""
     with tempfile.TemporaryDirectory(prefix="termsel-app-") as folder:
         # Read from files like any others, so that DEM, RPC and checks work as for a command.
         files = written(question.features, Path(folder))

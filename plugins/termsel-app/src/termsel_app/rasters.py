@@ -153,6 +153,7 @@ class Raster:
         return self.coloured(values, mask)
 
     def _mask(self, window: Any, shape: tuple[int, int]) -> NDArray[np.uint8] | None:
+        """Return the opacity of a window, 0 to 255; None where all is opaque."""
         from rasterio.enums import MaskFlags
 
         flags = self.dataset.mask_flag_enums[0]

@@ -240,6 +240,7 @@ class Tile(Guarded):
         self.finish(pixels)
 
     def _pixels(self, layer: str, level: int, column: int, row: int) -> bytes | None:
+        """Return a tile as PNG; None where there is none."""
         session = self.session
         if layer == "image":
             return None if session.image is None else png(
@@ -303,6 +304,7 @@ def _names(arguments: dict[str, Any]) -> list[str]:
 
 
 def _box(arguments: dict[str, Any]) -> tuple[float, float, float, float]:
+    """Return the box of a request, checked."""
     box = arguments.get("box")
     if not isinstance(box, list):
         raise TermselError("box is no list of coordinates")
@@ -390,6 +392,7 @@ def serve(session: Session, port: int, started: Callable[[str, str], None]) -> N
 
 
 async def _serve(session: Session, port: int, started: Callable[[str, str], None]) -> None:
+    """Serve the page on this machine until the task is cancelled."""
     try:
         sockets = bind_sockets(port, address=ADDRESS)
     except OSError as error:

@@ -181,6 +181,7 @@ class Session:
             self._changed()
 
     def _require_new(self, patches: list[Patch]) -> None:
+        """Refuse changes that give two features one name, or make too many of them."""
         for patch in patches:
             name = None if patch.after is None else patch.after["id"]
             before = None if patch.before is None else patch.before["id"]

@@ -83,6 +83,7 @@ class Worker:
             self._process = None
 
     def _begin(self) -> None:
+        """Start the process that computes, and the thread that hears it."""
         context = multiprocessing.get_context("spawn")
         # A new process, since a fit in a thread would let the page wait for the interpreter.
         own_end, their_end = context.Pipe()
@@ -95,6 +96,7 @@ class Worker:
         Thread(target=self._listen, args=(own_end,), daemon=True).start()
 
     def _listen(self, pipe: Connection) -> None:
+        """Tell what the process answers, until it ends."""
         while True:
             try:
                 answer = pipe.recv()

@@ -67,6 +67,7 @@ def certifier(problem: Problem, rooms: Sequence[int],
     names = list(problem.decode(np.ones(problem.genome.size, dtype=bool)).terms)
 
     def axes_of(genes: NDArray[np.bool_]) -> list[dict[str, Any]]:
+        """Return the axes of a selection as a certificate states them."""
         axes = []
         for axis_part, room in zip(axis_parts, rooms, strict=True):
             terms = [names[j] for j in axis_part.genes]
@@ -87,6 +88,7 @@ def certifier(problem: Problem, rooms: Sequence[int],
                  "search without the option certificate.") from error
 
     def certificate_of(genes: NDArray[np.bool_]) -> dict[str, Any] | None:
+        """Return the certificate of a selection; None, with a warning, if it proves nothing."""
         # What the checker refuses is no certificate. Whatever the reason, the search is not lost.
         try:
             text = json.dumps(content_of(axes_of(genes), MOST_NODES))

@@ -134,6 +134,7 @@ def _with_others(own_methods: list[Method], *, without_others: bool) -> list[Met
 
 
 def _sets(pattern: str, *, quick: bool) -> list[str]:
+    """Return the names of simulated sets that are asked for."""
     from termsel_bench.scenes.catalogue import QUICK, set_names
 
     names = [name for name in set_names(pattern) if not quick or name in QUICK]
@@ -143,6 +144,7 @@ def _sets(pattern: str, *, quick: bool) -> list[str]:
 
 
 def _measured(pattern: str, *, quick: bool) -> list[str]:
+    """Return the names of measured sets; of a quick run the first of each kind."""
     from termsel_bench.scenes.measured import SOURCES, measured_names
 
     names = measured_names(pattern)
@@ -155,6 +157,7 @@ def _measured(pattern: str, *, quick: bool) -> list[str]:
 
 def _run(methods: Sequence[Method], names: Sequence[str], real: Path | None, processes: int,
          scheduler: str, folder: Path | None, *, overwrite: bool) -> None:
+    """Run methods on sets, print the table, and write files where a folder is given."""
     from termsel import require_replaceable
     from termsel_bench.protocol import scores
     from termsel_bench.scenes.measured import MEASURED
@@ -194,6 +197,7 @@ def _run(methods: Sequence[Method], names: Sequence[str], real: Path | None, pro
 
 
 def _write(scored: Sequence[Score], folder: Path, title: str) -> None:
+    """Write table, page and results into a folder."""
     from termsel.toolkit import page, write_text
     from termsel.toolkit.files import refuse_links
     from termsel_bench.page import document
@@ -210,6 +214,7 @@ def _write(scored: Sequence[Score], folder: Path, title: str) -> None:
 
 
 def _write_files(folder: Path, names: Sequence[str], *, overwrite: bool) -> None:
+    """Write simulated sets as files, with their description."""
     from termsel import require_replaceable
     from termsel.toolkit import write_text
     from termsel.toolkit.files import refuse_links
@@ -230,6 +235,7 @@ def _write_files(folder: Path, names: Sequence[str], *, overwrite: bool) -> None
 
 
 def _write_measured(folder: Path, names: Sequence[str], *, overwrite: bool) -> None:
+    """Write measured sets as files, with their description."""
     from termsel import require_replaceable
     from termsel.toolkit import write_text
     from termsel.toolkit.files import refuse_links
@@ -251,6 +257,7 @@ def _write_measured(folder: Path, names: Sequence[str], *, overwrite: bool) -> N
 
 
 def _check(folder: Path, pattern: str, processes: int, packages: Sequence[str]) -> int:
+    """Repeat the results in a folder, print the verdicts, and return the exit code."""
     from termsel_bench.submitted import check, read_submitted
 
     checks = [check(checked, pattern, processes=processes)

@@ -129,6 +129,7 @@ class _Form:
 
 
 def _form_of(columns: Columns) -> _Form:
+    """Return the quadratic form whose matrix the multipliers have to keep positive."""
     c = columns.errors.shape[1]
     n = len(columns.names)
     # Each row E_k over u_k, the limit of its denominator.

@@ -183,6 +183,7 @@ def scores(methods: Sequence[Method], sets: Iterable[str], real: Sequence[Path] 
 
 
 def _on_cluster(work: Sequence[Work], scheduler: str) -> Iterator[Score]:
+    """Yield the scores that a dask scheduler has computed."""
     with requires("--scheduler requires", "distributed", "distributed"):
         from distributed import Client
     try:

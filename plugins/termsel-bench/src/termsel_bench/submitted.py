@@ -95,6 +95,7 @@ def read_submitted(folder: Path, packages: Sequence[str] = ()) -> list[Submitted
 
 
 def _read(path: Path, packages: Sequence[str]) -> Submitted:
+    """Return the results of a method in a file, checked."""
     def refused(problem: str) -> TermselError:
         return TermselError(f"{path} {problem}",
                             hint="Write it again with `termsel bench --out DIR`.")

@@ -66,6 +66,7 @@ def on_cluster(cells: Sequence[Cell], features: Mapping[str, FeatureSet], stop: 
 
 
 def _connected(address: str) -> Client:
+    """Return a client of a scheduler that has workers; wait for these, and say so."""
     from distributed import Client
 
     wrong = TermselError(f"{address!r} is no address of a scheduler",

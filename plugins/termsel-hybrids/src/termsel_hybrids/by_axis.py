@@ -51,6 +51,7 @@ class PolynomialByAxis(RationalModel):
 
 
 def _powers(coordinates: str, largest: int) -> tuple[Option, ...]:
+    """Return the options of a polynomial with degrees of its own in each axis and coordinate."""
     options = [Option("degree", largest, "Highest total degree.", int, 1, largest)]
     for axis, coordinate in product(("line", "sample"), coordinates):
         options.append(Option(

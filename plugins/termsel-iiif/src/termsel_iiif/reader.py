@@ -79,6 +79,7 @@ class AnnotationReader(Reader):
         return {str(i): {"map": str(i)} for i in range(1, len(maps) + 1)} if len(maps) > 1 else {}
 
     def _maps(self, path: Path) -> list[Map]:
+        """Return the maps of an annotation."""
         text = read_text(path)
         try:
             return maps_of(text.encode())

@@ -170,6 +170,7 @@ def judge(
         write_points_csv(candidates.points, Path(folder) / CANDIDATES, candidates.crs)
 
     def made(plainer_than: Correction | None = None) -> tuple[Selected, Matched | None, str]:
+        """Return the selection, the lines matched from its model, and why there are none."""
         result_folder = None if folder is None else Path(folder) / RESULT
         selected = select_points(candidates.features, model, options, accept=accept,
                                  plainer_than=plainer_than, seed=seed, folder=result_folder)

@@ -31,6 +31,7 @@ class Fitness(base.Fitness):
         super().__init__()
 
     def _set(self, values: Sequence[float]) -> None:
+        """Take the values of a fitness, and the repaired genes that they are of."""
         super().setValues(values)
         if isinstance(values, EvaluatedValues) and self.owner is not None:
             # The genes are the repaired ones from now on, also where another process repaired them.
@@ -102,6 +103,7 @@ class _ProblemTools:
         return self.evaluated([individual])[0]
 
     def evaluated(self, individuals: list[Individual]) -> list[EvaluatedValues]:
+        """Return the values of individuals, each repaired to what the genome allows."""
         if not individuals:
             return []
         genome = self.problem.genome
@@ -204,6 +206,7 @@ def register(box: base.Toolbox, role: str, declaration: str | None, genome: Geno
 
 
 def _argument(text: str) -> tuple[str, Any]:
+    """Return the name and the value of an operator's argument, KEY=NUMBER."""
     key, _, value = text.partition("=")
     try:
         return key.strip(), ast.literal_eval(value.strip())

@@ -192,6 +192,7 @@ def _absorbed(rpc: Rpc, linear: FloatArray, shifted: Rpc) -> Rpc | None:
     half = np.array(rpc.image_scale)
 
     def places(across: int) -> tuple[FloatArray, FloatArray]:
+        """Return ground places of an RPC all over its area, and image positions of the new one."""
         steps = np.linspace(-1.0, 1.0, across)
         unit = np.stack([axis.ravel() for axis in np.meshgrid(steps, steps, steps)], axis=1)
         away = unit[:, :2] * half * (1.0 + _EDGE_MARGIN)

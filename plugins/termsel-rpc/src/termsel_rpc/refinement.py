@@ -66,6 +66,7 @@ class Refinement(SensorModel):
         return ready
 
     def _require_seen(self) -> None:
+        """Refuse control that is far outside the area that the image covers."""
         corners = np.array(list(product((-1.0, 1.0), repeat=3)))
         geographic = self.geographic(corners)[:, :2]
         low, high = self.footprint()

@@ -199,6 +199,7 @@ def lattice_of(path: Path) -> tuple[LatticePoint, ...]:
 
 
 def _from_xml(root: ElementTree.Element, name: str) -> Annotation:
+    """Return the annotation of a Sentinel-1 product."""
     mission = (root.findtext("adsHeader/missionId") or "").strip()
     if root.tag != "product" or not mission.startswith("S1"):
         raise TermselError("it is no annotation of a Sentinel-1 product")

@@ -96,6 +96,7 @@ def _read(path: Path, _changed: int) -> Metadata:
 
 
 def _from_dimap(root: ElementTree.Element, name: str) -> Metadata:
+    """Return the metadata of a SPOT scene of level 1A."""
     strip = root.find("Data_Strip")
     if root.tag != "Dimap_Document" or strip is None:
         raise TermselError("it is no DIMAP file with a Data_Strip",

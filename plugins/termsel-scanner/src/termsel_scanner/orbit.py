@@ -100,6 +100,8 @@ def seen(cameras: Cameras, target: FloatArray, place: FloatArray, axes: FloatArr
     frame = np.stack([x, np.cross(ray, x), -ray], axis=2)
 
     def view(time: FloatArray) -> FloatArray:
+        """Return how far the view of places is off line and sample at a time: 0 when they are seen.
+        """
         there = rotate(rotate(ground[None], pole, TURNING * time), orbit,
                        -motion[:, None] * time) - station[:, None]
         looked = there @ frame

@@ -367,6 +367,7 @@ def _solved(asked: bytes) -> Solution:
 
 
 def _best(model: Physical, points: Points) -> Solution:
+    """Return the solution of the least cost, from all starts of a model."""
     features = FeatureSet(points)
     ends: list[Solution] = [
         one for start in model.starts(features) if (one := model.descended(features, start))]

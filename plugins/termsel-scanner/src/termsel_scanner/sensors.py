@@ -115,6 +115,7 @@ def sensor_named(name: str) -> Sensor:
 
 
 def _checked(content: object, path: Path) -> Sensor:
+    """Return the sensor that a file describes."""
     known = {field.name: field.default for field in fields(Sensor)}
     hint = f"Fields are {', '.join(known)}; those after source may be left out."
     if not isinstance(content, dict):

@@ -95,6 +95,9 @@ class TrackedScanner(Physical):
         wide = 1.0 + PIXEL * x["pixel"]
 
         def view(time: FloatArray) -> tuple[FloatArray, FloatArray]:
+            """Return how far places are ahead of the scan line at a time, and their place across
+            it.
+            """
             station, axes = _state(said, time)
             away = np.einsum("...ij,...i->...j", axes, target - station)
             turned = _turned(away, [np.interp(time, said.moments, angles) + own + time * drift

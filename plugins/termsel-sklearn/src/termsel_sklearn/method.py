@@ -39,6 +39,7 @@ class _Fitting:
                                hint="Measure more, or choose another regressor.") from error
 
         def project(ground: FloatArray) -> FloatArray:
+            """Return image positions by the regressor; NaN where a coordinate is not known."""
             scaled = (ground[:, :columns] - middle) / half_size
             image = np.full((len(ground), 2), np.nan)
             is_known = np.isfinite(scaled).all(axis=1)

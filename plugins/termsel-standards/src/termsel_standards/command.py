@@ -71,6 +71,7 @@ def accuracy(source: Path, survey_sigma: float | None, survey_sigma_z: float | N
 
 
 def _text(stated: Statements, took: str) -> Iterator[str]:
+    """Yield the lines of a statement for the terminal."""
     points = stated.distribution.points
     yield f"{stated.source}: {points} check points, {took} no part in any choice"
     yield ""

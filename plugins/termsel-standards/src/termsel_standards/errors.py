@@ -140,6 +140,7 @@ def _sigmas(cells: Iterable[Any], name: str, ids: Sequence[str], file: Path | No
 
 
 def _number(cell: str, name: str, file: Path | None, line: int) -> float:
+    """Return the number of a cell, NaN of a blank one; errors name line and column."""
     if not cell.strip():
         return np.nan
     try:

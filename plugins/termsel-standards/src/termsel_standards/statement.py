@@ -258,6 +258,7 @@ def statements_of(ground_errors: GroundErrors, horizontal_class: float | None = 
 
 
 def _component(name: str, errors: FloatArray) -> Component:
+    """Return the figures of the errors along one axis [m]."""
     n = len(errors)
     size = np.abs(errors)
     # Shapiro and Wilk's test divides by the scatter, which equal errors have none of.
@@ -323,6 +324,7 @@ def class_of(value: float) -> float:
 
 
 def _nssda_vertical(vertical: float | None, too_few: str | None) -> Statement:
+    """Return the statement of vertical accuracy by NSSDA, or why there is none."""
     if vertical is None or too_few:
         return Statement("NSSDA vertical", None, "not stated, as no heights were tested"
                          if vertical is None else f"not stated: {too_few}")
@@ -363,6 +365,7 @@ def _notes(ground_errors: GroundErrors, total: float, survey: float | None,
            distribution: Distribution,
            components: tuple[Component, ...],
            classes: tuple[float | None, float | None]) -> list[str]:
+    """Return what limits the figures: points, blunders, the survey."""
     notes = []
     # With fewer the statement says it.
     if ASPRS_POINTS <= len(ground_errors.ids) < distribution.required:

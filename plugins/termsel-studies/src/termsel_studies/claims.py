@@ -89,6 +89,7 @@ def size_in_words(value: float) -> str:
 
 
 def _over_instances(comparison: Comparison) -> list[str]:
+    """Return what may be claimed over all instances, by tests that are corrected."""
     sentences = []
     if comparison.p is not None:
         verdict = "differ" if comparison.p < SIGNIFICANCE else "cannot be told apart"

@@ -86,6 +86,7 @@ def _best(record: CellRecord, number: int) -> tuple[int, float]:
 
 def _description(number: int, instance: str, method: str, dimension: int,
                  records: list[CellRecord], data: str) -> dict[str, Any]:
+    """Return the description of one method on one instance, as IOHanalyzer reads it."""
     described = []
     for number, record in enumerate(records):
         evaluation, value = _best(record, number)

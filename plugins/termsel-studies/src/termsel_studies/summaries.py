@@ -59,6 +59,7 @@ def optimum_of(runs: Any, measure: str) -> float | None:
 
 
 def _summary(instance: str, method: str, runs: Runs, optimum: float | None) -> Summary:
+    """Return what the runs of one method on one instance reach, and how soon."""
     reached = None
     expected = None
     interval = (0.0, 0.0)

@@ -172,6 +172,8 @@ def scanner_views(positions: FloatArray, azimuth: float,
     axes = np.stack([x, np.cross(-ray, x), -ray], axis=2)
 
     def view(time: FloatArray) -> FloatArray:
+        """Return how far the view of places is off line and sample at a time: 0 when they are seen.
+        """
         rays = flights.sight(positions, time) @ axes
         slopes = rays[..., :2] / rays[..., 2:]
         # Rates and their changes over the time of the image: a + b t^2 / 2, to second order.
@@ -203,6 +205,7 @@ def radar_views(positions: FloatArray, azimuth: float, latitude: float, *,
     climb = RADAR_CLIMB * rng.standard_normal((n, 1))
 
     def view(time: FloatArray) -> FloatArray:
+        """Return Doppler, range, and angle at the Earth's centre, of places at a time."""
         # Doppler by a difference of two ranges, and the range itself.
         distance, next_distance = (np.linalg.norm(flights.sight(positions, at), axis=2)
                                    for at in (time, time + FIRST_STEP))

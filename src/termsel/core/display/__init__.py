@@ -26,6 +26,7 @@ class Glance:
                                           for name, value in rows.items())])
 
     def _repr_html_(self) -> str:
+        """Return the same as a table, for notebooks."""
         title, rows = self._glance()
         cells = "".join(
             f"<tr><th style='text-align:left'>{escape(name)}</th>"

@@ -89,6 +89,7 @@ def apart(work: Callable[..., Answer], path: Path, *arguments: Any) -> Answer:
 
 @cache
 def _helper(drivers: tuple[str, ...], remote: bool) -> Helper:
+    """Return the process that reads vector files with such drivers, started once."""
     with ExitStack() as stack:
         if remote:
             stack.enter_context(allow_remote())

@@ -143,6 +143,7 @@ def _here() -> str:
 
 
 def _runs(process: int) -> bool:
+    """Return whether a process still exists."""
     if sys.platform == "win32":  # os.kill would end it; what is left there stays
         return True
     try:

@@ -100,6 +100,7 @@ def holder(folder: Path) -> str | None:
 
 @contextmanager
 def _opened(folder: Path, mode: Literal["a+b", "r+b"]) -> Iterator[FileIO]:
+    """Yield the open file of a folder's lock; a link in its place is not followed."""
     try:
         file = open(folder / LOCK, mode, buffering=0,  # noqa: SIM115 (closed below)
                     opener=open_inside)

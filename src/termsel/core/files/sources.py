@@ -314,6 +314,7 @@ class _Chain:
             self._of_text(self._decoded(content, str(path)), str(path.parent), depth, "")
 
     def _decoded(self, content: bytes, name: str) -> str:
+        """Return the text of XML, which has to be UTF-8 and not too long."""
         if len(content) > _LARGEST_XML:
             raise self._too_large(name)
         try:

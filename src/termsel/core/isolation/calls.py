@@ -115,6 +115,8 @@ def _iterated(name: str, function: Callable[..., Any], check: Check | None) -> C
         return (function if _plain(self) else steps)(self, *args, **options)
 
     def steps(self: Any, *args: Any, **options: Any) -> Iterator[Any]:
+        """Yield what a generator of a plugin yields, each value checked, and its errors as its own.
+        """
         with blamed(self, name):
             iterator = iter(function(self, *args, **options))
         try:

@@ -88,6 +88,7 @@ def within(seconds: float, call: Callable[[], T], *, soon: float = 0.0,
     done: Future[T] = Future()
 
     def work() -> None:
+        """Call, and hand the value or the error over to the thread that waits."""
         try:
             value = call()
         except BaseException as error:  # noqa: BLE001 - raised again in the thread that waits

@@ -273,6 +273,7 @@ def transformation(source: str, target: str, *, strict: bool = True) -> Transfor
                  "ellipsoidal heights, as in EPSG:4979.") from error
 
     def convert(ground: FloatArray) -> FloatArray:
+        """Return ground coordinates (n, 3) in the other CRS."""
         # Heights that are not known are taken as 0, as the docstring says.
         known_heights = np.nan_to_num(ground, nan=0.0)
         try:

@@ -223,6 +223,7 @@ def _misplaced(features: FeatureSet) -> bool:
 
 def _is_inside(position: tuple[float, float], area: tuple[float, float, float, float],
                margin: float) -> bool:
+    """Return whether a position is within an area and a margin around it [deg]."""
     lon, lat = position
     west, south, east, north = area
     # Areas may lie across the 180 degree meridian, with west larger than east.

@@ -71,6 +71,7 @@ def _check_metres(xy: FloatArray, features: FeatureSet, crs: str) -> None:
 
 def _check_range(xy: FloatArray, features: FeatureSet, low: tuple[float, float],
                  high: tuple[float, float], problem: str, hint: str) -> None:
+    """Refuse coordinates outside a range; say so if exchanged columns would be inside."""
     def beyond(values: FloatArray) -> BoolArray:
         return np.asarray((values < low) | (values > high))
 

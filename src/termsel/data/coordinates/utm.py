@@ -44,6 +44,7 @@ def metric_crs(crs: str, lon: float, lat: float) -> str:
 
 @lru_cache
 def _transverse_mercator(crs: str, lon: int, lat: int) -> str:
+    """Return a transverse Mercator projection about a place as WKT."""
     from pyproj import CRS
     from pyproj.crs import ProjectedCRS
     from pyproj.crs.coordinate_operation import TransverseMercatorConversion
@@ -66,6 +67,7 @@ def polar_crs(crs: str, lat: float) -> str:
 
 @lru_cache
 def _polar_stereographic(crs: str, latitude: int) -> str:
+    """Return a stereographic projection about a pole as WKT."""
     from pyproj import CRS
     from pyproj.crs import ProjectedCRS
     from pyproj.crs.coordinate_operation import PolarStereographicAConversion

@@ -59,6 +59,7 @@ def chi_squared_quantile(share: float, freedom: float) -> float:
     half = freedom / 2
 
     def below(x: float) -> float:
+        """Return the chance that a chi-squared number is below x, by its power series."""
         # P(a, x) = x^a e^-x / Gamma(a + 1) (1 + x / (a + 1) + x^2 / ((a + 1)(a + 2)) + ...), with a
         # = freedom / 2 (6.5.29).
         total = 0.0

@@ -110,6 +110,7 @@ def read_numbers(cells: Sequence[str], sign: str, *, may_be_blank: bool, angle: 
 
 
 def _number(row: int, cell: str, sign: str, may_be_blank: bool, angle: str) -> float:
+    """Return the number of a cell; raises BadCell, with the row, for what is none."""
     text = cell.strip()
     if not text:
         if may_be_blank:

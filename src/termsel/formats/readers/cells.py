@@ -161,6 +161,7 @@ def _first_lines(text: str) -> Iterator[str]:
 
 
 def _split(line: str, delimiter: str) -> list[str]:
+    """Return the cells of a line; none if it cannot be a row."""
     if not delimiter:
         return line.split()
     try:
@@ -191,12 +192,14 @@ def _delimiter(text: str, aliases: Aliases, stated: Mapping[str, str]) -> str:
 
 
 def _of_text(path: Path, text: str, delimiter: str) -> Cells:
+    """Return the rows of a text with the lines they begin on, and its comments."""
     rows: list[list[str]] = []
     lines: list[int] = []
     comments: dict[int, str] = {}
     end = 0
 
     def without_comments() -> Iterator[str]:
+        """Yield the lines of the text; a comment between rows is blank, and kept apart."""
         # The reader asks for the next line of a row before it gives the row, so that a line
         # within quotation marks is not the one after the end of the last row.
         for number, line in enumerate(io.StringIO(text, newline=""), 1):

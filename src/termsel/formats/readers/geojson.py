@@ -91,6 +91,7 @@ def read_geojson(path: Path, kinds: Mapping[str, int]) -> tuple[list[Feature], s
 
 
 def _feature(path: Path, number: int, item: Any, kinds: Mapping[str, int]) -> Feature:
+    """Return a feature of the collection with its properties and vertices."""
     item = item if isinstance(item, dict) else {}
     # What is no object has no properties, and is refused by its geometry.
     properties = item.get("properties")
@@ -138,6 +139,7 @@ def _finite(number: float) -> bool:
 
 
 def _crs(path: Path, member: Any) -> str:
+    """Return the CRS of the old member "crs"; "" where there is none."""
     try:
         # "crs" is not in RFC 7946; without one coordinates are WGS 84.
         name = member["properties"]["name"]

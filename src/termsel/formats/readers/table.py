@@ -147,6 +147,7 @@ class Table:
                                 for meaning in meanings])
 
     def _numbers(self, meaning: str, may_be_blank: bool) -> FloatArray:
+        """Return the numbers of a column by its meaning; errors name line and column."""
         # A table without heights has none for any row.
         if meaning not in self.columns and meaning[0] == "z":
             return np.full(len(self.lines), np.nan)

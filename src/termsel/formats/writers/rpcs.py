@@ -186,6 +186,7 @@ def require_read_back(rpc: Rpc, text: str, suffix: str) -> None:
 
 
 def _require_same_by_gdal(rpc: Rpc, image: Path) -> None:
+    """Refuse an RPC with which GDAL projects to other positions than termsel."""
     from rasterio._err import CPLE_BaseError
     from rasterio.errors import RasterioError
     from rasterio.transform import RPCTransformer

@@ -219,6 +219,7 @@ def _keep_count(genes: BoolArray, segment: Bits | Subset, free: BoolArray,
 
 
 def _slices(sizes: Iterable[tuple[str, int]]) -> dict[str, slice]:
+    """Return where each segment is, one after the other."""
     slices = {}
     start = 0
     for name, size in sizes:

@@ -326,6 +326,7 @@ class SelectionProblem(Problem):
         return np.concatenate(blocks)
 
     def _empty_axes(self, terms: BoolArray) -> FloatArray:
+        """Return how many axes of each individual have no term."""
         axis = self.inputs.model.axis
         if not np.isin([LINE, SAMPLE], axis).all():
             return np.zeros(len(terms))

@@ -188,6 +188,7 @@ class Stage:
                                file=self.path)
 
     def _of_another(self) -> TermselError:
+        """Return the error for a checkpoint that another search has written."""
         where = f"from evaluation {self._taken + 1:,} on " if self._taken else ""
         return TermselError(
             f"this search differs {where}from the one of the checkpoint",

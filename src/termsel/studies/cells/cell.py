@@ -109,6 +109,7 @@ def _require_few(spec: Spec, data: int) -> None:
 
 
 def _own_data(spec: Spec, problem: PartSpec | None) -> Data:
+    """Return the data set of a problem, for a study that names no data."""
     if problem is None:
         raise spec.places.error(("data",), "the study names neither data nor a problem",
                                 "Write [[data]] and points = \"*.csv\", or problems = [\"...\"].")
@@ -121,6 +122,7 @@ def _own_data(spec: Spec, problem: PartSpec | None) -> Data:
 
 def _of_data(spec: Spec, kinds: _Kinds, problem: PartSpec | None, name: str | None, data: Data,
              alternatives: list[Data], split: int) -> Iterator[Cell]:
+    """Yield the cells of one problem and one data set, by strategy, parts and seed."""
     problem_spec: PartSpec | None = problem or (PartSpec(name, name) if name else None)
     for strategy in spec.strategies:
         # Auto, or a method in its place; else each model with each criterion and each solver.
@@ -200,6 +202,7 @@ class _Kinds:
 
     def _checked(self, strategy: str, specs: Mapping[str, PartSpec | None],
                  data: list[Data]) -> _Kind:
+        """Return what all cells of a kind have in common, checked on the first data that fit."""
         spec = self._spec
         first = None
         measures = _measures_of(spec)
@@ -243,6 +246,7 @@ class _Kinds:
 
     def _asked(self, strategy: str, specs: Mapping[str, PartSpec | None], data: Data,
                options: Mapping[str, Any]) -> Request:
+        """Return the request of a run; errors name the place in the study's file."""
         problem = specs["problem"]
         assert problem is not None
         self._require_method(specs.get("method"))
@@ -341,6 +345,7 @@ def _given(method: PartSpec | None) -> Any:
 
 def _cell(spec: Spec, strategy: str, specs: Mapping[str, PartSpec | None], kind: _Kind, data: Data,
           split: int, seed: int) -> Cell:
+    """Return a cell: its labels, what is called, and the key of all that decides its result."""
     problem = specs["problem"]
     # What tables call the cell; of auto the method is not known before it has run.
     labels = {

@@ -123,6 +123,7 @@ def _named(component: PartSpec) -> dict[str, Any]:
 
 
 def _written(source: Source) -> dict[str, Any]:
+    """Return a source of data as a study's file states it."""
     if source.dataset is not None:
         return {"dataset": source.dataset}
     options = {key: value for key, value in source.reading.items() if key not in READING}

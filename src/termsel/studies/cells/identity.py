@@ -96,6 +96,7 @@ def _plain(attributes: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _of_class(kind: type) -> Iterator[Any]:
+    """Yield what decides what a class does: its code and that of its bases."""
     # A class does what its bases do, so their code counts as well.
     for base in kind.__mro__:
         yield f"{base.__module__}.{base.__qualname__}"
@@ -107,6 +108,7 @@ def _of_class(kind: type) -> Iterator[Any]:
 
 
 def _of_function(function: FunctionType) -> Iterator[Any]:
+    """Yield what decides what a function does: code, defaults, and what it has enclosed."""
     yield f"{function.__module__}.{function.__qualname__}"
     for cell in function.__closure__ or ():
         try:

@@ -148,6 +148,7 @@ class Journal:
             self._file = None
 
     def _write(self, record: Mapping[str, Any]) -> None:
+        """Append a record as one line; a part of it that is written is taken back on failure."""
         assert self._file is not None
         line = _sealed(record)
         try:

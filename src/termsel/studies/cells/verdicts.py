@@ -77,6 +77,7 @@ def _usual_size(rows: Sequence[Mapping[str, Any]]) -> float:
 
 
 def _verdict(row: Mapping[str, Any], accept: Accept | None, usual: float) -> tuple[str, str]:
+    """Return whether the model of an image is fit for use, and why."""
     if row["strategy"] != "auto" or row["state"] == "waiting":
         return "", ""
     if row["state"] != "done":

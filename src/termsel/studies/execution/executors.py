@@ -35,6 +35,7 @@ def deferred(say: Callable[[], None]) -> Iterator[Stop]:
     pressed = False
 
     def note(_number: int, _frame: FrameType | None) -> None:
+        """Note the first Ctrl-C, and say that it is heard."""
         nonlocal pressed
         # The second Ctrl-C ends at once.
         if pressed:

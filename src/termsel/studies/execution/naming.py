@@ -59,6 +59,7 @@ def _name_images() -> None:
     before = logging.getLogRecordFactory()
 
     def with_name(*args: Any, **kwargs: Any) -> logging.LogRecord:
+        """Return a record of the log that begins with the name of the image at work."""
         record = before(*args, **kwargs)
         image = _image.get()
         if image and record.name.startswith("termsel."):

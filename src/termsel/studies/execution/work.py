@@ -83,6 +83,7 @@ def do(cell: Cell, features: FeatureSet) -> Outcome:
 
 
 def _done(cell: Cell, features: FeatureSet) -> Outcome:
+    """Return the outcome of a cell, which may be why there is none."""
     trace = _Trace(cell.call.get("timeout"))
     try:
         state, figures, front, files = (_auto if cell.call["strategy"] == "auto" else _as_asked)(
@@ -274,6 +275,7 @@ def _measures(cell: Cell, result: Result, notes: list[str]) -> dict[str, float |
 
 
 def _figures_of(result: Result) -> dict[str, Any]:
+    """Return the figures of a choice by auto for the table of the study."""
     predicted = result.predicted
     selection = result.selection
     prediction = prediction_of(result)

@@ -99,6 +99,7 @@ def of_dataset(name: str, path: Keys = ()) -> Data:
 
 
 def _of_source(spec: Spec, source: Source, folder: Path) -> Iterator[Data]:
+    """Yield the data of one source: feature sets, a data set, or files by pattern."""
     for label, features in source.features.items():
         yield Data(label, _key(features), label, features, path=source.path)
     if source.dataset is not None:
@@ -184,6 +185,7 @@ def _parts(source: Source, files: Mapping[str, str], folder: Path) -> dict[str, 
 
 def _read(source: Source, files: Mapping[str, str], folder: Path, part_name: str,
           options: Mapping[str, Any]) -> Data:
+    """Return the data of files of one image, or why they cannot be read."""
     label = " + ".join(dict.fromkeys(files.values()))
     if part_name:
         label = f"{label}#{part_name}"

@@ -67,6 +67,7 @@ class _Reader:
         self.known: dict[Path, tuple[int, int]] = {}
 
     def document(self) -> None:
+        """Note the lines of all keys of a TOML document."""
         table: Path = ()
         # Each pair belongs to the last header above it.
         while self._at < len(self._tokens) - 1:
@@ -120,6 +121,7 @@ class _Reader:
         self._value(path)
 
     def _value(self, path: Path) -> None:
+        """Note the lines of what is in a value, and pass it."""
         self._pass_lines()
         text = self._tokens[self._at][1]
         if text in ("[", "{"):

@@ -153,6 +153,7 @@ def _as_in_a_file(value: Any) -> Any:
 
 
 def _parts(at: Places, kind: str, listed: Any) -> tuple[PartSpec, ...]:
+    """Return the parts of a kind that a study lists, each with a label of its own."""
     if not isinstance(listed, Sequence) or isinstance(listed, str):
         raise at.error((kind,), f"{kind} is not a list", f'Write {kind} = ["name", ...].')
     components: list[PartSpec] = []
@@ -170,6 +171,7 @@ def _parts(at: Places, kind: str, listed: Any) -> tuple[PartSpec, ...]:
 
 
 def _part(at: Places, path: Keys, declared: Any) -> PartSpec:
+    """Return a part by its name, by a table with options, or by an object from Python."""
     if isinstance(declared, str):
         return PartSpec(declared, declared, path=path)
     if isinstance(declared, Configurable):
@@ -199,6 +201,7 @@ def _plain(value: Any) -> str:
 
 
 def _sources(at: Places, listed: Any) -> list[Source]:
+    """Return the sources of data that a study lists."""
     if isinstance(listed, Mapping) and listed and all(
             isinstance(item, FeatureSet) for item in listed.values()):
         return [Source(features=listed, path=("data",))]  # from Python, by label
@@ -277,6 +280,7 @@ def _options(at: Places, path: Keys, table: Any) -> dict[str, Any]:
 
 
 def _budget(at: Places, limits: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the limits of a study's searches, checked."""
     for key, value in limits.items():
         path = ("budget", key)
         if key not in BUDGETS:

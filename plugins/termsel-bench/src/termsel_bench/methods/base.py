@@ -91,6 +91,7 @@ class Method:
             return self._applied(features, seed)
 
     def _applied(self, features: FeatureSet, seed: int) -> Projection:
+        """Return the projection that the method finds, by its kind."""
         if self.kind == "auto":
             return termsel.run(features=features, seed=seed).project
         if self.kind == "method":
@@ -162,6 +163,7 @@ def function_of(name: str) -> Callable[[FeatureSet], Any]:
 
 
 def _projection(returned: Any, name: str) -> Projection:
+    """Return the projection that a function of a package gave back."""
     # An object with a method `project`, or the function itself.
     project = getattr(returned, "project", returned)
     if not callable(project):

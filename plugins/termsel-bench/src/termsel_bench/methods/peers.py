@@ -31,6 +31,7 @@ def gdal_spline(features: FeatureSet, seed: int) -> Projection:  # noqa: ARG001
 
 
 def _gdal(features: FeatureSet, *, spline: bool) -> Projection:
+    """Return the projection of GDAL's transformation by GCPs."""
     with requires("GDAL requires", "rasterio", "rasterio"):
         from rasterio.control import GroundControlPoint
         from rasterio.errors import TransformError
@@ -42,6 +43,7 @@ def _gdal(features: FeatureSet, *, spline: bool) -> Projection:
                                               strict=True)]
 
     def project(ground: FloatArray) -> FloatArray:
+        """Return image positions of ground places by GDAL."""
         with ExitStack() as stack:
             try:
                 transformer = stack.enter_context(GCPTransformer(gcps, tps=spline))
@@ -122,6 +124,7 @@ def _sklearn() -> Any:
 
 
 def _fitted(model: Any, features: FeatureSet, positions: FloatArray) -> Projection:
+    """Return the projection of an estimator of scikit-learn."""
     try:
         model.fit(positions, features.points.image)
     except ValueError as error:

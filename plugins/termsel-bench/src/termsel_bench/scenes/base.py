@@ -108,6 +108,7 @@ def rounded(bench_set: BenchSet) -> BenchSet:
 
 
 def _rounded_rpc(rpc: Rpc) -> Rpc:
+    """Return an RPC with as many digits as a file has."""
     def of(numbers: tuple[float, ...]) -> tuple[float, ...]:
         return tuple(float(round(number, COEFFICIENTS)) for number in numbers)
 

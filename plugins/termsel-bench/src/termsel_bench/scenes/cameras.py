@@ -77,6 +77,7 @@ class Turning(Pushbroom):
         return station, self._looking(station, time)
 
     def _looking(self, station: FloatArray, time: FloatArray) -> FloatArray:
+        """Return the axes of the camera (n, 3, 3) at stations and times."""
         aim = np.array(self.aim)
         course = np.array(self.course)
         # The angle at the Earth's centre by which the view has moved on.
@@ -132,6 +133,7 @@ def image_of(kind: str, seed: int, ranges: Ranges, count: int,
 
 def _image_of(kind: str, rng: Generator, ranges: Ranges, count: int,
               measured: int | None, level: float) -> FeatureSet:
+    """Return points of one image of a random camera, over random ground."""
     lines, samples = (int(n) for n in rng.integers(*ranges.size, 2))
     lon = rng.uniform(-170, 170)
     lat = rng.uniform(*ranges.latitude)
@@ -280,6 +282,7 @@ def _shaken(rng: Generator, unit: float, half: float, drift: tuple[float, ...],
 
 
 def _replaced(sensor: Pushbroom, angles: list[Angle]) -> Pushbroom:
+    """Return a sensor to whose attitude further angles are added."""
     def joined(before: Angle, added: Angle) -> Angle:
         drift = np.zeros(max(len(before.drift), len(added.drift)))
         drift[:len(before.drift)] += before.drift

@@ -159,6 +159,7 @@ def _camera(settings: SetSettings) -> tuple[FeatureSet, Points]:
 
 
 def _map(settings: SetSettings) -> tuple[FeatureSet, Points]:
+    """Return control and independent points of a simulated old map."""
     with requires("sets of old maps require", "termsel_photos", "./plugins/termsel-photos"):
         from termsel_photos import simulate_map
 
@@ -174,6 +175,7 @@ def _map(settings: SetSettings) -> tuple[FeatureSet, Points]:
 
 
 def _lines(settings: SetSettings) -> tuple[FeatureSet, Points]:
+    """Return a scene with control lines, and independent points."""
     arguments = {"seed": settings.seed, "roles": (settings.count, 0, INDEPENDENT),
                  **{name: value for name, value in settings.settings.items() if name != "scene"}}
     measured = simulate_scene(settings.settings["scene"], **arguments)
@@ -183,6 +185,7 @@ def _lines(settings: SetSettings) -> tuple[FeatureSet, Points]:
 
 
 def _matches(settings: SetSettings) -> tuple[FeatureSet, Points]:
+    """Return matched points, some of them wrong, and independent points."""
     scene = image_of("steady", settings.seed + 100, FRESH, settings.count + INDEPENDENT,
                      settings.count)
     features, independent = _split(scene, settings.count)
@@ -195,6 +198,7 @@ def _matches(settings: SetSettings) -> tuple[FeatureSet, Points]:
 
 
 def _vendor(settings: SetSettings) -> tuple[FeatureSet, Points]:
+    """Return control of an image whose vendor's RPC is off, and independent points."""
     count = settings.count
     scene = image_of("steady", settings.seed + 200, FRESH, count + INDEPENDENT + _VENDOR, count)
     features, independent = _split(scene, count)

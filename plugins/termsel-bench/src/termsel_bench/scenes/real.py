@@ -94,6 +94,7 @@ def real_set(folder: Path) -> BenchSet:
 
 
 def _declared(file: Path) -> dict[str, str]:
+    """Return what the declaration of a real set states, all that is needed among it."""
     try:
         declared: Any = json.loads(read_text(file))
     except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
@@ -107,6 +108,7 @@ def _declared(file: Path) -> dict[str, str]:
 
 
 def _inside(folder: Path, name: str, file: Path) -> bytes:
+    """Return the content of a file of a set, which has to be in its folder."""
     path = folder / name
     # A declaration cannot name a file outside of its folder.
     if not path.resolve().is_relative_to(folder.resolve()) or not path.is_file():

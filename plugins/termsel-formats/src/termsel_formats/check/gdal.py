@@ -90,6 +90,7 @@ def transformed(path: Path, *options: str) -> Places:
     program = installed("gdaltransform") or "gdaltransform"
 
     def places(image: FloatArray, heights: FloatArray) -> FloatArray:
+        """Return ground positions (n, 2) of image positions at heights, by gdaltransform."""
         # GDAL counts pixels from the corner of the first one.
         rows = (f"{sample + 0.5!r} {line + 0.5!r} {height!r}" for (line, sample), height
                 in zip(image.tolist(), heights.tolist(), strict=True))

@@ -33,6 +33,7 @@ def taken(path: Path, raster_header: Header) -> Taken | None:
     name = "OTB"
 
     def places(image: FloatArray, _heights: FloatArray) -> FloatArray:
+        """Return ground positions (n, 2) of some image positions by OTB; NaN of the others."""
         ground = np.full((len(image), 2), np.nan)
         for row in np.unique(np.linspace(0, len(image) - 1, MOST).round().astype(int)).tolist():
             line, sample = image[row].tolist()

@@ -65,6 +65,7 @@ def _arrows() -> str:
 
 
 def _by_role(kind: str, geometry: int, layers: dict[str, str]) -> str:
+    """Return a style of QGIS with a symbol for each role."""
     categories = "".join(f'<category value="{role}" label="{role}" symbol="{i}" render="true"/>'
                          for i, role in enumerate(layers))
     symbols = "".join(_symbol(kind, str(i), layer) for i, layer in enumerate(layers.values()))

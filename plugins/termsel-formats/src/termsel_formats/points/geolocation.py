@@ -193,6 +193,7 @@ def _of_domain(path: Path, raster: Any, domain: dict[str, str], stack: ExitStack
 
 
 def _number(domain: dict[str, str], name: str, usual: float, path: Path) -> float:
+    """Return a number of the domain GEOLOCATION."""
     text = domain.get(name)
     try:
         value = usual if text is None else float(text)
@@ -219,9 +220,11 @@ def _bands(bands: list[tuple[Any, int]], path: Path) -> tuple[Band, ...]:
 
 
 def _line_of(raster: Any, number: int) -> Band:
+    """Return the function that reads lines of a band, with its scale and offset."""
     from rasterio.windows import Window
 
     def line(index: int) -> FloatArray:
+        """Return a line of the band; NaN for what is no coordinate."""
         with np.errstate(all="ignore"):
             values = raster.read(number, window=Window(0, index, raster.width, 1), masked=True)
             numbers = values.astype(np.float64).filled(np.nan)[0]
@@ -340,6 +343,7 @@ def _error_between(arrays: Arrays, lattice: tuple[FloatArray, FloatArray]) -> fl
 
 
 def _columns(ground: FloatArray) -> FloatArray:
+    """Return the monomials of scaled places that image positions are smooth in, (n, 17)."""
     x, y, z = np.nan_to_num(ground).T
     plane = []
     with_height = []

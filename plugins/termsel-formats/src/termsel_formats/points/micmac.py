@@ -132,6 +132,7 @@ def _ground_of(root: ElementTree.Element, path: Path) -> dict[str, list[float]]:
 
 
 def _numbers(path: Path, name: str, text: str | None, count: int) -> list[float]:
+    """Return the numbers of an element, so many of them."""
     cells = (text or "").split()
     try:
         numbers = [float(cell) for cell in cells]

@@ -82,6 +82,7 @@ class PciGcp(Reader):
                           crs="")
 
     def _fields(self, path: Path, first: list[str]) -> list[str]:
+        """Return what the fields of a line are, by the option or by their number."""
         layout = re.sub(r"[\s,]", "", str(self.options["layout"]))
         if not layout:
             status = first[-1] in _ROLES

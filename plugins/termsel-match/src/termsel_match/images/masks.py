@@ -125,6 +125,7 @@ def on_the_ground(masks: Sequence[Path | str], crs: str, transform: Any) -> tupl
         turn = Transformer.from_crs(mask_crs, crs, always_xy=True)
 
         def to_px(coordinates: FloatArray, turn: Any = turn, name: Path | str = name) -> FloatArray:
+            """Return the pixels of the reference at coordinates of a mask."""
             x, y = turn.transform(coordinates[:, 0], coordinates[:, 1])
             if not np.isfinite([x, y]).all():
                 raise TermselError("polygons of this mask cannot be converted to the CRS of the "
@@ -204,6 +205,7 @@ def _in_px(shape: Any) -> Any:
 def _drawn(shapes: list[Any]) -> Excluded:
     """Return where windows are in polygons, which are in columns and rows."""
     def drawn(first_line: int, first_sample: int, shape: tuple[int, int], step: int) -> Mask:
+        """Return which pixels of a window the polygons cover."""
         from rasterio.features import rasterize
         from rasterio.transform import Affine
 
@@ -266,6 +268,7 @@ def by_bands(picture: GreyRaster) -> tuple[Excluded, ...]:
 
     def learned(name: str, used: tuple[int, ...], index: Callable[[FloatArray], FloatArray],
                 likely: Callable[[FloatArray, Mask, Mask], bool]) -> None:
+        """Mask a class of pixels that an index of some bands divides from the rest, if it does."""
         of_bands = replace(picture, bands=used)
         values, is_known = read_bands(of_bands, 0, 0, shape, step)
         if not is_known.any():

@@ -316,6 +316,7 @@ def crs_of(picture: GreyRaster) -> str:
 
 def _require_overlap(reference: Reference, size: tuple[int, int],
                      dem: Path | str | None) -> None:
+    """Refuse an image of which the reference, or the DEM, shows nothing."""
     at_reference = reference.seen(grid(size, (COVERS, COVERS)))
     is_finite = np.isfinite(at_reference).all(axis=1)
     if not is_finite.any():

@@ -165,6 +165,7 @@ def _rows(path: Path, columns: Sequence[str]) -> Iterator[tuple[int, dict[str, s
 
 
 def _number(cells: dict[str, str], name: str, path: Path, line: int) -> float:
+    """Return the number of a cell; errors name file, line and column."""
     text = (cells[name] or "").strip()
     try:
         value = float(text)

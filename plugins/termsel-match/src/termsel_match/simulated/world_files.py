@@ -42,6 +42,7 @@ def write_world(world: World, folder: Path | str) -> None:
 
 
 def _write(world: World, folder: Path) -> None:
+    """Write image, RPC, orthoimage, heights, roads, camera and independent points."""
     from rasterio.transform import from_origin
 
     west, north = world.corner
@@ -58,6 +59,7 @@ def _write(world: World, folder: Path) -> None:
 
 
 def _write_raster(path: Path, pixels: np.ndarray[Any, Any], **profile: Any) -> None:
+    """Write one band as a tiled GeoTIFF."""
     from warnings import catch_warnings, simplefilter
 
     import rasterio

@@ -180,6 +180,7 @@ class KnownFrame(SensorModel):
         return self._through(image, self.lens.distorted)
 
     def _through(self, image: FloatArray, bend: Any) -> FloatArray:
+        """Return scaled image positions once the lens has bent their rays, or straightened them."""
         if self.lens.is_ideal:
             return image
         assert self.scaling is not None

@@ -66,6 +66,7 @@ def _elements(report: Quality) -> list[Element]:
 
 
 def _measure(measure: Measure) -> Element:
+    """Return which measure a figure is of, as an element."""
     identification = _x("mdq:measureIdentification",
                         _identifier(measure.identifier, "ISO 19157:2013")) \
         if measure.identifier else None
@@ -75,6 +76,7 @@ def _measure(measure: Measure) -> Element:
 
 
 def _evaluation(report: Quality) -> Element:
+    """Return how a figure was found, as an element."""
     # An inspection of a sample: the independent points stand for all of the image. Without any
     # the data are held against themselves.
     kind = "directInternal" if report.predicted else "directExternal"
@@ -94,6 +96,7 @@ def _evaluation(report: Quality) -> Element:
 
 
 def _lineage(report: Quality) -> Element:
+    """Return what the result was made of, and by which programs, as an element."""
     # The program itself is the processor; others are documentation of it.
     software = [_x("mrl:documentation", _citation(name, edition))
                 for name, edition in report.software.items() if name != "termsel"]

@@ -182,6 +182,7 @@ def quality_of(result: Result, title: str = "", organisation: str = "",
 
 
 def _measures(result: Result) -> tuple[Measure, ...]:
+    """Return the figures of the independent points, each with its meaning."""
     if result.accuracy is None:
         return ()
     image = result.accuracy.image
@@ -219,6 +220,7 @@ def _predicted(prediction: Prediction) -> tuple[Measure, ...]:
 
 
 def _statements(result: Result, prediction: Prediction | None) -> tuple[str, ...]:
+    """Return the statements of standards, or why they are not made."""
     accuracy = result.accuracy
     if accuracy is None:
         return ("The accuracy is not known, as the result has no independent points",) \

@@ -97,6 +97,7 @@ class _Posed(PymooProblem):
         self.vars = self.variables.named
 
     def _evaluate(self, X: Any, out: dict[str, Any], *_: Any, **__: Any) -> None:
+        """Write objectives F and constraint G of individuals, as pymoo asks for them."""
         genome = self.problem.genome
         genes = self.variables.genes([X] if self.elementwise else X)
         # G is the only constraint: the violation, and for bits what of the genome is broken.

@@ -311,6 +311,7 @@ class ImperialistCompetition(Solver):
 
     def _generation(self, index: int, genes: BoolArray, evaluation: Evaluation,
                     cost: FloatArray, world: Empires, k: int) -> Generation:
+        """Return a generation with what its charts show of the empires."""
         power = total_power(cost, world.empire, world.imperialists, self.options["alpha"])
         empire = world.names[world.empire]  # numbered as at first, whatever has vanished
         return Generation(index, genes, evaluation, {
