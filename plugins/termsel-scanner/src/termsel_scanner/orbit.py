@@ -69,12 +69,12 @@ def heading_of(inclination: float, latitude: float, *, ascending: bool) -> float
     return east if ascending else np.pi - east
 
 
-def seen(cameras: Cameras, target: FloatArray, place: FloatArray, axes: FloatArray) -> FloatArray:
+def seen(cameras: Cameras, target: FloatArray, origin: FloatArray, axes: FloatArray) -> FloatArray:
     """Return time [s] and slope to port of targets, shape (p, n, 2); NaN where none is seen.
 
     The targets (n, 3) and the place (3,) are Earth-fixed [m], the axes (3, 3) are those there.
     """
-    centre = axes @ place
+    centre = axes @ origin
     ground = target @ axes.T
     sine = np.sin(cameras.heading)
     cosine = np.cos(cameras.heading)
@@ -84,9 +84,9 @@ def seen(cameras: Cameras, target: FloatArray, place: FloatArray, axes: FloatArr
     ray = course * cameras.ahead[:, None] + right * cameras.side[:, None] + [0.0, 0.0, 1.0]
     ray /= np.linalg.norm(ray, axis=1, keepdims=True)
     radius = MAJOR + cameras.altitude
-    along = ray @ centre
+    ray_up = ray @ centre
     station = centre + ray * (np.sqrt(np.maximum(
-        along**2 - centre @ centre + radius**2, 0.0)) - along)[:, None]
+        ray_up**2 - centre @ centre + radius**2, 0.0)) - ray_up)[:, None]
     outward = station / radius[:, None]
     forward = course - outward * (course * outward).sum(axis=1, keepdims=True)
     forward /= np.linalg.norm(forward, axis=1, keepdims=True)
@@ -102,10 +102,10 @@ def seen(cameras: Cameras, target: FloatArray, place: FloatArray, axes: FloatArr
     def view(time: FloatArray) -> FloatArray:
         """Return how far the view of places is off line and sample at a time: 0 when they are seen.
         """
-        there = rotate(rotate(ground[None], pole, TURNING * time), orbit,
+        from_camera = rotate(rotate(ground[None], pole, TURNING * time), orbit,
                        -motion[:, None] * time) - station[:, None]
-        looked = there @ frame
-        slopes = looked[..., :2] / looked[..., 2:]
+        misses = from_camera @ frame
+        slopes = misses[..., :2] / misses[..., 2:]
         roll, pitch, yaw = (cameras.rates[:, i, None] * time
                             + cameras.changes[:, i, None] * time**2 / 2 for i in range(3))
         return np.stack([slopes[..., 0] - pitch - yaw * slopes[..., 1],
@@ -114,19 +114,19 @@ def seen(cameras: Cameras, target: FloatArray, place: FloatArray, axes: FloatArr
     time = np.zeros((len(radius), len(ground)))
     if len(radius) > 1:
         # Cameras by which others are differentiated see all at nearly the same times.
-        first = seen(cameras.first(), target, place, axes)[0, :, 0]
+        first = seen(cameras.first(), target, origin, axes)[0, :, 0]
         time += np.where(np.isfinite(first), first, 0.0)
     step = np.full_like(time, FIRST_STEP)
     with np.errstate(all="ignore"):
-        looked = view(time)
+        misses = view(time)
         for _ in range(SECANT_STEPS):
             time = np.clip(time + step, -FAR, FAR)
-            before, looked = looked[..., 0], view(time)
-            at = looked[..., 0]
+            before, misses = misses[..., 0], view(time)
+            at = misses[..., 0]
             change = at - before
             step = np.where(np.abs(change) > 1e-13, -at * step / change, 0.0)
             if np.abs(at).max(initial=0.0) < NO_SLOPE:
                 break
-        image = np.stack([time, looked[..., 1]], axis=2)
+        image = np.stack([time, misses[..., 1]], axis=2)
         image[~(np.abs(at) < 1e-6)] = np.nan
     return image

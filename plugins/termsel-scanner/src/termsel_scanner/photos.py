@@ -95,14 +95,14 @@ class Photo(Physical):
         slopes = self.slopes_of(features)
         # How north is seen tells the turn; the area of a unit square tells the scale.
         turn = np.arctan2(slopes[1, 1], slopes[0, 1])
-        some = np.zeros((3, len(self.terms)))
-        some[:, self.terms.index("turn")] = turn / TURN
-        some[:, self.terms.index("scale")] = np.log(
+        starts = np.zeros((3, len(self.terms)))
+        starts[:, self.terms.index("turn")] = turn / TURN
+        starts[:, self.terms.index("scale")] = np.log(
             np.sqrt(np.abs(np.linalg.det(slopes)) + 1e-12) * self._extent()) / SCALE
         # Three starts: short, usual and long focal lengths have minima of their own.
-        some[:, self.terms.index("focal")] = (-1.0, 0.0, 1.0)
-        of_view = self.starts_of_view(features) if self.options["oblique"] else some[:0]
-        return of_view if len(of_view) else some
+        starts[:, self.terms.index("focal")] = (-1.0, 0.0, 1.0)
+        of_view = self.starts_of_view(features) if self.options["oblique"] else starts[:0]
+        return of_view if len(of_view) else starts
 
     def starts_of_view(self, features: FeatureSet) -> FloatArray:
         """Return the values of terms of the pinhole camera of the points, (s, k), or none, (0, k).
@@ -134,9 +134,9 @@ class Photo(Physical):
         turn, tilts = _angles(columns, mirrored=bool(self.options["mirrored"]))
         # Where the middle is seen from the principal point.
         away = middle[:2] / middle[2]
-        seen = principal + away
+        middle_seen = principal + away
         values = dict.fromkeys(self.terms, 0.0) | {
-            "line": seen[0], "sample": seen[1], "turn": turn / TURN,
+            "line": middle_seen[0], "sample": middle_seen[1], "turn": turn / TURN,
             "scale": np.log(focal * size / middle[2] * self._extent()) / SCALE,
             "focal": np.log(focal / FOCAL) / FOCAL_SPREAD,
             "tilt-line": tilts[0] / self.tilt, "tilt-sample": tilts[1] / self.tilt,
@@ -176,14 +176,14 @@ class Photo(Physical):
         for i, name in enumerate(("tilt-line", "tilt-sample")):
             s = np.sin(self.tilt * x[name])[:, None]
             c = np.cos(self.tilt * x[name])[:, None]
-            one = turned[:, i]
+            image_axis = turned[:, i]
             view = turned[:, 2]
             turned = turned.copy()
-            turned[:, i] = c * one - s * view
-            turned[:, 2] = s * one + c * view
+            turned[:, i] = c * image_axis - s * view
+            turned[:, 2] = s * image_axis + c * view
         # Relative to the middle of the control, and by the distance of the camera from it.
-        places = self.local(ground) @ turned.transpose(0, 2, 1)
-        return np.asarray(places * (scale / focal)[:, None, None] + ray[:, None, :]), \
+        in_camera = self.local(ground) @ turned.transpose(0, 2, 1)
+        return np.asarray(in_camera * (scale / focal)[:, None, None] + ray[:, None, :]), \
             focal[:, None]
 
     def image_of(self, values: FloatArray, ground: FloatArray) -> FloatArray:
@@ -245,10 +245,10 @@ class Frame(Photo):
         focal = FOCAL * np.exp(FOCAL_SPREAD * x["focal"])
         # Towards the middle of the control, which need not be the principal point.
         ray = np.column_stack([middle / focal[:, None], np.ones(len(focal))])
-        places, focal = self.seen(x, ground, ray)
+        in_camera, focal = self.seen(x, ground, ray)
         # Central projection; behind the camera nothing is seen.
-        ideal = focal[..., None] * places[..., :2] / np.where(
-            places[..., 2:] > 0, places[..., 2:], np.nan)
+        ideal = focal[..., None] * in_camera[..., :2] / np.where(
+            in_camera[..., 2:] > 0, in_camera[..., 2:], np.nan)
         radius = (ideal**2).sum(axis=2, keepdims=True)
         # Distortion grows with the third power of the radius.
         bent = RADIAL / known(self.scaling).image_scale * x["radial"][:, None, None] * radius
@@ -279,15 +279,15 @@ class Panoramic(Photo):
         """Return scaled positions on the film (p, n, 2), about where the middle is seen."""
         focal = FOCAL * np.exp(FOCAL_SPREAD * x["focal"])
         slit, angle = (MIDDLE * x[name] / focal for name in ("middle-line", "middle-sample"))
-        places, focal = self.seen(x, ground, np.stack(
+        in_camera, focal = self.seen(x, ground, np.stack(
             [slit, np.sin(angle), np.cos(angle)], axis=1))
         # The film is a cylinder: across the track angles are lengths.
-        across = np.arctan2(places[..., 1], places[..., 2])
-        along = places[..., 0] / np.hypot(places[..., 1], places[..., 2])
+        across = np.arctan2(in_camera[..., 1], in_camera[..., 2])
+        along_track = in_camera[..., 0] / np.hypot(in_camera[..., 1], in_camera[..., 2])
         # The compensation moves the film by the sine of the angle of the slit.
         moved = MOTION * x["motion"][:, None]
         return np.asarray(focal[..., None] * np.stack([
-            along - slit[:, None] + moved * (np.sin(across) - np.sin(angle)[:, None]),
+            along_track - slit[:, None] + moved * (np.sin(across) - np.sin(angle)[:, None]),
             across - angle[:, None]], axis=-1))
 
 
@@ -319,8 +319,8 @@ class FewOfPhoto(Method):
         *plan, up = model.local(points.ground).T
         columns = np.column_stack([np.ones(len(up)), *plan])
         # Heights off a plane: a plane seen at a slant is only tilted ground.
-        rest = up - columns @ np.linalg.lstsq(columns, up)[0]
-        return bool(np.linalg.norm(rest) > RELIEF * np.sqrt(np.var(plan, axis=1).sum()))
+        off_plane = up - columns @ np.linalg.lstsq(columns, up)[0]
+        return bool(np.linalg.norm(off_plane) > RELIEF * np.sqrt(np.var(plan, axis=1).sum()))
 
     def tried(self, data: FitData) -> bool:
         """Return whether the points say that they are of a photo.

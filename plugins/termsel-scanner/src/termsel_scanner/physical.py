@@ -108,8 +108,9 @@ class Physical(SensorModel):
         """Return derivatives of image positions by the terms, shape (n, 2, k)."""
         steps = DERIVATIVE_STEP * np.eye(len(values))
         # Central differences, of all terms in one call.
-        both = self.image_of(np.concatenate([values + steps, values - steps]), ground)
-        return np.moveaxis(both[:len(values)] - both[len(values):], 0, -1) / (2 * DERIVATIVE_STEP)
+        images = self.image_of(np.concatenate([values + steps, values - steps]), ground)
+        k = len(values)
+        return np.moveaxis(images[:k] - images[k:], 0, -1) / (2 * DERIVATIVE_STEP)
 
     def prior(self) -> FloatArray:
         """Return the weights of the pseudo-observations that terms are 0, shape (k,)."""
@@ -131,14 +132,14 @@ class Physical(SensorModel):
 
     def linearised(self, features: FeatureSet, coefficients: FloatArray) -> Equations:
         """Return the equations about a solution, with those of the priors."""
-        parts = []
+        rows = []
         for ground in (features.points.ground, features.lines.ground.reshape(-1, 3)):
             columns = self.slopes(coefficients, ground)
             # image(x) = image(x0) + J (x - x0): the constant part is image(x0) - J x0.
-            parts += [columns, self.image_of(coefficients[None], ground)[0]
+            rows += [columns, self.image_of(coefficients[None], ground)[0]
                       - columns @ coefficients]
-        found = image_equations(features, *parts[::2], *parts[1::2])
-        return Equations(found.A, found.b, found.feature, self.prior())
+        unweighted = image_equations(features, *rows[::2], *rows[1::2])
+        return Equations(unweighted.A, unweighted.b, unweighted.feature, self.prior())
 
     def solved(self, features: FeatureSet) -> Solution:
         """Return the best robust fit to scaled points from all starts.
@@ -148,11 +149,11 @@ class Physical(SensorModel):
         """
         try:
             # Bytes, as neither models nor points can be keys of a cache.
-            asked = pickle.dumps((self, features.points))
+            pickled = pickle.dumps((self, features.points))
         except (AttributeError, TypeError, pickle.PicklingError):
             # The class is defined in a function, or an option is no plain value.
             return _best(self, features.points)
-        return _solved(asked)
+        return _solved(pickled)
 
     def cost(self, features: FeatureSet, values: FloatArray) -> tuple[float, FloatArray]:
         """Return Huber's loss of scaled points and priors, and residuals (n, 2), by the noise."""
@@ -169,8 +170,8 @@ class Physical(SensorModel):
         """Return how far image positions at the end of a step are off its tangent, (n, 2)."""
         # The second derivative along the step, by a central difference.
         ends = values + BEND * np.array([[1.0], [0.0], [-1.0]]) * step
-        ahead, middle, back = self.image_of(ends, ground)
-        return np.asarray((ahead - 2 * middle + back) / (2 * BEND**2))
+        before, middle, behind = self.image_of(ends, ground)
+        return np.asarray((before - 2 * middle + behind) / (2 * BEND**2))
 
     def descended(self, features: FeatureSet, start: FloatArray) -> Solution | None:
         """Return where damped steps from a start end (Levenberg 1944, Marquardt 1963).
@@ -189,45 +190,47 @@ class Physical(SensorModel):
         values = start
         # Of the free terms the best values are known: the mean of what is left.
         if self.free:
-            left = points.image - self.image_of(values[None], points.ground)[0]
+            misses = points.image - self.image_of(values[None], points.ground)[0]
             values = values.copy()
-            values[:self.free] += left.mean(axis=0)[:self.free]
-        now, away = self.cost(features, values)
-        if not np.isfinite(now):
+            values[:self.free] += misses.mean(axis=0)[:self.free]
+        least_cost, residuals = self.cost(features, values)
+        if not np.isfinite(least_cost):
             return None
         while steps < MAX_STEPS and damping < 1e8:
             # Weights of the reweighted squares whose gradient is that of Huber's loss.
-            turned = np.sqrt(HUBER / np.maximum(np.linalg.norm(away, axis=1), HUBER))[:, None]
-            A = (self.slopes(values, points.ground) * (turned * weight / unit)[..., None]).reshape(
-                -1, len(values))
+            distances = np.linalg.norm(residuals, axis=1)
+            huber_weights = np.sqrt(HUBER / np.maximum(distances, HUBER))[:, None]
+            slopes = self.slopes(values, points.ground)
+            A = (slopes * (huber_weights * weight / unit)[..., None]).reshape(-1, len(values))
             if not np.isfinite(A).all():
                 return None
             # The negative gradient, of priors, too.
-            right = A.T @ (turned * away).ravel() - size**2 * values
+            right = A.T @ (huber_weights * residuals).ravel() - size**2 * values
             normal = A.T @ A + np.diag(size**2)
             # Damped in proportion to the diagonal, so that units of terms do not count.
             inverse = np.linalg.pinv(normal + damping * np.diag(np.diag(normal) + 1e-12),
                                      hermitian=True)
-            full = inverse @ right
+            full_step = inverse @ right
             # The way bends where altitude, pixel and period make up for each other.
-            bent = self._bent(values, full, points.ground)
-            aside = inverse @ (A.T @ (turned * weight / unit * bent).ravel())
-            if np.isfinite(aside).all() and np.linalg.norm(aside) < AHEAD * np.linalg.norm(full):
-                full = full - aside
+            bent = self._bent(values, full_step, points.ground)
+            correction = inverse @ (A.T @ (huber_weights * weight / unit * bent).ravel())
+            largest = AHEAD * np.linalg.norm(full_step)
+            if np.isfinite(correction).all() and np.linalg.norm(correction) < largest:
+                full_step = full_step - correction
             # A step is taken only where it helps; else a shorter one is tried.
-            there, left = self.cost(features, values + full)
+            next_cost, misses = self.cost(features, values + full_step)
             steps += 1
-            if not there < now:
+            if not next_cost < least_cost:
                 damping *= 10.0
                 continue
-            converged = now - there < CONVERGED_GAIN * (1.0 + now)
-            values = values + full
-            now = there
-            away = left
+            converged = least_cost - next_cost < CONVERGED_GAIN * (1.0 + least_cost)
+            values = values + full_step
+            least_cost = next_cost
+            residuals = misses
             damping = damping / 10.0
             if converged:
                 break
-        return Solution(values, now, steps, converged or damping >= 1e8)
+        return Solution(values, least_cost, steps, converged or damping >= 1e8)
 
 
 @dataclass(frozen=True)
@@ -240,29 +243,31 @@ class RobustFit(Estimator):
             used: BoolArray) -> Fit:
         """Fit a camera (see `Estimator.fit`) with all its terms."""
         ready = model.prepared(scaling, control.crs)
-        mine = control.take(used)
-        if len(mine.lines):
+        used_features = control.take(used)
+        if len(used_features.lines):
             raise Undetermined(f"model {model.name!r} takes control points alone here, and there "
                                "are control lines", hint="Leave the lines out.")
-        scaled = scaling.features(mine)
-        found = ready.solved(scaled)
-        if not found.converged:
-            raise Undetermined(f"the fit of {model.name!r} did not converge in {found.steps} steps",
+        scaled = scaling.features(used_features)
+        solution = ready.solved(scaled)
+        if not solution.converged:
+            raise Undetermined(f"the fit of {model.name!r} did not converge in {solution.steps} "
+                               "steps",
                                hint="Measure more control, or name the sensor.")
         # From here on the camera counts as linear about the solution.
-        equations = ready.linearised(scaled, found.values)
-        values = found.values
-        left, effective, errors = _left_out(equations, values, len(mine.points))
+        equations = ready.linearised(scaled, solution.values)
+        values = solution.values
+        residuals, effective, errors = _left_out(equations, values, len(used_features.points))
         count = round(effective)
         # Deviations under a prior are not those of least squares.
         unknown = np.full(len(values), np.nan)
-        freedom = max(len(left) - effective, 1.0)
+        freedom = max(len(residuals) - effective, 1.0)
         weight = _weight(scaled)
         return Fit(ready, scaling, control, np.ones(len(values), dtype=bool), used,
-                   Adjustment(values, unknown, count, len(left), count, np.nan,
-                              float(np.sqrt(left @ left / freedom)), steps=found.steps,
+                   Adjustment(values, unknown, count, len(residuals), count, np.nan,
+                              float(np.sqrt(residuals @ residuals / freedom)), steps=solution.steps,
                               converged=True),
-                   self, effective, HeldOut.of(errors / weight * scaling.image_scale, mine))
+                   self, effective,
+                   HeldOut.of(errors / weight * scaling.image_scale, used_features))
 
     def spread(self, fitted: Fit, ground: FloatArray) -> Spread:
         """Return the mean square errors at scaled places (see `Estimator.spread`)."""
@@ -303,9 +308,9 @@ class ShiftFit(RobustFit):
             used: BoolArray) -> Fit:
         """Fit a camera (see `Estimator.fit`), or hold it against its own lattice."""
         ready = model.prepared(scaling, control.crs)
-        mine = control.take(used)
+        used_features = control.take(used)
         # A computed lattice has no errors of measurement to be corrected by.
-        errors = as_stated(ready, FitData(mine, scaling, heights=True))
+        errors = as_stated(ready, FitData(used_features, scaling, heights=True))
         if errors is None:
             return super().fit(model, control, scaling, terms, used)
         values = np.zeros(len(ready.terms))
@@ -313,7 +318,7 @@ class ShiftFit(RobustFit):
         return Fit(ready, scaling, control, np.ones(len(values), dtype=bool), used,
                    Adjustment(values, np.full(len(values), np.nan), 0, errors.size, 0, np.nan,
                               float(np.sqrt((scaled**2).mean())), converged=True),
-                   self, 0.0, HeldOut.of(errors, mine))
+                   self, 0.0, HeldOut.of(errors, used_features))
 
     def spread(self, fitted: Fit, ground: FloatArray) -> Spread:
         """Return the mean square errors at scaled places (see `Estimator.spread`)."""
@@ -354,27 +359,28 @@ def as_stated(ready: Physical, control: FitData) -> FloatArray | None:
         return None
     # Values of 0: the camera as metadata state it.
     points = control.scaled.points
-    seen = ready.image_of(np.zeros((1, len(ready.terms))), points.ground)[0]
-    errors = (points.image - seen) * control.scaling.image_scale
+    stated_image = ready.image_of(np.zeros((1, len(ready.terms))), points.ground)[0]
+    errors = (points.image - stated_image) * control.scaling.image_scale
     close = np.sqrt((errors**2).sum(axis=1).mean()) < OF_LATTICE
     return np.asarray(errors) if close else None
 
 
 @lru_cache(maxsize=8)
-def _solved(asked: bytes) -> Solution:
+def _solved(pickled: bytes) -> Solution:
     """Return the best fit of a model to scaled points, both as bytes."""
-    return _best(*pickle.loads(asked))
+    return _best(*pickle.loads(pickled))
 
 
 def _best(model: Physical, points: Points) -> Solution:
     """Return the solution of the least cost, from all starts of a model."""
     features = FeatureSet(points)
     ends: list[Solution] = [
-        one for start in model.starts(features) if (one := model.descended(features, start))]
+        solution for start in model.starts(features)
+        if (solution := model.descended(features, start))]
     if not ends:
         raise Undetermined(f"model {model.name!r} finds no camera that sees the control",
                            hint="Check the sensor, the track and the axes of the points.")
-    return min(ends, key=lambda one: one.cost)
+    return min(ends, key=lambda solution: solution.cost)
 
 
 def _weight(features: FeatureSet) -> FloatArray:
@@ -394,11 +400,11 @@ def _left_out(equations: Equations, values: FloatArray, count: int,
     A = equations.A
     prior = equations.prior
     assert prior is not None
-    left = equations.b - A @ values
+    residuals = equations.b - A @ values
     # The hat matrix: fitted from measured values.
     gain = A @ np.linalg.pinv(A.T @ A + np.diag(prior**2), hermitian=True) @ A.T
     rows = np.arange(2 * count).reshape(count, 2)
     # r / (1 - h), for both coordinates of a point at once.
-    own = np.eye(2) - gain[rows[:, :, None], rows[:, None, :]]
-    errors = np.linalg.solve(own + 1e-9 * np.eye(2), left[rows][..., None])[..., 0]
-    return left, float(np.trace(gain)), np.asarray(errors, dtype=np.float64)
+    redundancies = np.eye(2) - gain[rows[:, :, None], rows[:, None, :]]
+    errors = np.linalg.solve(redundancies + 1e-9 * np.eye(2), residuals[rows][..., None])[..., 0]
+    return residuals, float(np.trace(gain)), np.asarray(errors, dtype=np.float64)

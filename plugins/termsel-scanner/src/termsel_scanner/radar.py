@@ -92,8 +92,8 @@ class Radar(Physical):
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
-        given = self.options["metadata"]
-        self._annotation = annotation_of(given, self.options["swath"]) if given else None
+        metadata = self.options["metadata"]
+        self._annotation = annotation_of(metadata, self.options["swath"]) if metadata else None
         if self._annotation is not None:
             self._first_line = _first_line(self._annotation, self.options["burst"])
             if self.options["bistatic"]:
@@ -141,16 +141,16 @@ class Radar(Physical):
         shifted = image + shift / spacing
         return np.asarray(known(self.scaling).image(shifted.reshape(-1, 2)).reshape(shifted.shape))
 
-    def unshifted(self, places: FloatArray) -> FloatArray:
+    def unshifted(self, geographic: FloatArray) -> FloatArray:
         """Return line and sample (n, 2) [px] by the annotation alone; NaN where none is seen.
 
         Parameters
         ----------
-        places : ndarray, shape (n, 3)
+        geographic : ndarray, shape (n, 3)
             WGS84 longitude, latitude [deg] and ellipsoidal height [m].
         """
         stated = self.annotation
-        time, distance, seen = zero_doppler(stated, geocentric(places))
+        time, distance, is_visible = zero_doppler(stated, geocentric(geographic))
         if self.options["bistatic"] and stated.middle_range_time is not None:
             # Lines are counted by when echoes from the middle of the swath arrive.
             time = time - (2.0 * distance / LIGHT - stated.middle_range_time) / 2.0
@@ -162,10 +162,10 @@ class Radar(Physical):
             sample = (2.0 * distance / LIGHT - stated.first_range_time) * stated.sampling_rate
         image = np.stack([line, sample], axis=1)
         samples = stated.size[1]
-        beyond = np.abs(sample - samples / 2.0) > (0.5 + BEYOND) * samples
+        is_beyond = np.abs(sample - samples / 2.0) > (0.5 + BEYOND) * samples
         if stated.ground_ranges:
-            seen &= ~beyond
-        image[~seen] = np.nan
+            is_visible &= ~is_beyond
+        image[~is_visible] = np.nan
         return image
 
     @staticmethod
@@ -176,7 +176,7 @@ class Radar(Physical):
                 f"{annotation.source}: its lattice does not state by which echoes lines are timed",
                 hint="Leave out --set bistatic=....")
 
-    def on_ground(self, image: FloatArray, places: FloatArray) -> FloatArray:
+    def on_ground(self, image: FloatArray, near_places: FloatArray) -> FloatArray:
         """Return places (n, 3) that are seen at image positions (n, 2); NaN where none is found.
 
         Their heights are those between given places (m, 3), WGS84 longitude, latitude [deg] and
@@ -184,19 +184,19 @@ class Radar(Physical):
         """
         from scipy.interpolate import griddata  # other models need not import it
 
-        known = self.unshifted(places)
-        visible = np.isfinite(known).all(axis=1)
-        known = known[visible]
-        ground = griddata(known, places[visible], image, rescale=True)
-        nearest = griddata(known, places[visible], image, method="nearest", rescale=True)
+        seen_image = self.unshifted(near_places)
+        visible = np.isfinite(seen_image).all(axis=1)
+        seen_image = seen_image[visible]
+        ground = griddata(seen_image, near_places[visible], image, rescale=True)
+        nearest = griddata(seen_image, near_places[visible], image, method="nearest", rescale=True)
         ground = np.where(np.isnan(ground), nearest, ground)
         for _ in range(NEWTON_STEPS):
-            missing = image - self.unshifted(ground)
-            if not np.abs(missing).max(initial=0.0) > 1e-9:
+            misses = image - self.unshifted(ground)
+            if not np.abs(misses).max(initial=0.0) > 1e-9:
                 break
             slopes = np.stack([(self.unshifted(ground + step) - self.unshifted(ground - step))
                                / (2.0 * DEGREES) for step in DEGREES * np.eye(3)[:2]], axis=-1)
-            ground[:, :2] += np.linalg.solve(slopes, missing[..., None])[..., 0]
+            ground[:, :2] += np.linalg.solve(slopes, misses[..., None])[..., 0]
         ground[~(np.abs(image - self.unshifted(ground)).max(axis=1) < 1e-6)] = np.nan
         return np.asarray(ground)
 
@@ -215,8 +215,8 @@ def _first_line(annotation: Annotation, burst: int) -> tuple[float, float]:
             "so that a point may be on two lines",
             hint=f"Choose one with --set burst=N, N from 1 to {len(bursts)}, or use an image of "
                  "merged bursts, such as the GRD product.")
-    chosen = bursts[burst - 1]
-    return chosen.time, float(chosen.line)
+    chosen_burst = bursts[burst - 1]
+    return chosen_burst.time, float(chosen_burst.line)
 
 
 def zero_doppler(annotation: Annotation, targets: FloatArray,

@@ -60,9 +60,9 @@ class Scanner(Physical):
 
     def starts(self, features: FeatureSet) -> FloatArray:
         """Return the values of terms from which a fit begins: views to either side."""
-        some = np.zeros((5, len(TERMS)))
-        some[:, TERMS.index("side")] = np.linspace(-1.6, 1.6, 5)
-        return some
+        starts = np.zeros((5, len(TERMS)))
+        starts[:, TERMS.index("side")] = np.linspace(-1.6, 1.6, 5)
+        return starts
 
     def image_of(self, values: FloatArray, ground: FloatArray) -> FloatArray:
         """Return scaled image positions (p, n, 2) by values of terms (p, k)."""
@@ -70,7 +70,7 @@ class Scanner(Physical):
         sensor = self.sensor
         middle = self.geographic(np.zeros((1, 3)))
         axes = axes_at(*middle[0, :2])
-        place = geocentric(middle)[0]
+        origin = geocentric(middle)[0]
         x = dict(zip(TERMS, values.T, strict=True))
         altitude = 1e3 * (sensor.altitude + sensor.altitude_sigma * x["altitude"])
         view = {name: np.tan(np.radians(getattr(sensor, name))) * x[name]
@@ -82,16 +82,16 @@ class Scanner(Physical):
             view["side"], view["ahead"] - np.tan(np.radians(sensor.forward)), altitude,
             np.radians(YAW_DEGREES) * x["yaw"],
             RATE * values[:, 9:12], CHANGE * values[:, 12:15])
-        found = seen(cameras, geocentric(self.geographic(ground)), place, axes)
+        time_and_slope = seen(cameras, geocentric(self.geographic(ground)), origin, axes)
         # Of an unknown sensor the pixel is about the control's on the ground by that in the image.
         pixel = sensor.pixel or self._extent() / scaling.image_scale
         wide = sensor.pixel_sigma
         ifov = pixel / (1e3 * sensor.altitude) * np.exp(wide * x["pixel"])
         motion = np.sqrt(3.986004418e14 / (6378137.0 + altitude) ** 3)
         period = pixel / (motion * SPEED) * np.exp(wide * x["period"])
-        line = found[..., 0] / period[:, None] / scaling.image_scale
+        line = time_and_slope[..., 0] / period[:, None] / scaling.image_scale
         # Samples run to port; at the ends of the control the look angles are off by some px.
-        sample = found[..., 1] / ifov[:, None] / scaling.image_scale
+        sample = time_and_slope[..., 1] / ifov[:, None] / scaling.image_scale
         bent = (x["look-2"][:, None] * sample**2 + x["look-3"][:, None] * sample**3) \
             / scaling.image_scale
         return np.stack([line + x["line"][:, None],

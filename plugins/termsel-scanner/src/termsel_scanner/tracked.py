@@ -50,8 +50,8 @@ class TrackedScanner(Physical):
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
-        given = self.options["metadata"]
-        self._metadata = metadata_of(given) if given else None
+        metadata = self.options["metadata"]
+        self._metadata = metadata_of(metadata) if metadata else None
         if self._metadata is not None:  # a result must be readable without the file
             self.options["metadata"] = self._metadata.text()
 
@@ -80,14 +80,14 @@ class TrackedScanner(Physical):
 
     def image_of(self, values: FloatArray, ground: FloatArray) -> FloatArray:
         """Return scaled image positions (p, n, 2) by values of terms (p, k)."""
-        said = self.metadata
+        metadata = self.metadata
         target = geocentric(self.geographic(ground))
         x = dict(zip(TERMS, values.T[..., None], strict=True))                       # (p, 1) each
-        angle = TRACKED if said.tracked else ANGLE
+        angle = TRACKED if metadata.tracked else ANGLE
         bias = [YAW_SIGMA * x["yaw"], angle * x["pitch"], angle * x["roll"]]
         rate = [RATE_SIGMA * x[f"{name}-rate"] for name in ("yaw", "pitch", "roll")]
-        samples = np.array(said.detectors)
-        looks = np.tan(said.looks)
+        samples = np.array(metadata.detectors)
+        looks = np.tan(metadata.looks)
         order = np.argsort(looks[:, 1])  # as np.interp needs them
         across = looks[order, 1]
         ahead = looks[order, 0]
@@ -98,15 +98,16 @@ class TrackedScanner(Physical):
             """Return how far places are ahead of the scan line at a time, and their place across
             it.
             """
-            station, axes = _state(said, time)
+            station, axes = _state(metadata, time)
             away = np.einsum("...ij,...i->...j", axes, target - station)
-            turned = _turned(away, [np.interp(time, said.moments, angles) + own + time * drift
-                                    for angles, own, drift in zip(
-                                        np.array(said.angles).T, bias, rate, strict=True)])
+            attitude = [np.interp(time, metadata.moments, angles) + offset + time * drift
+                        for angles, offset, drift in zip(
+                            np.array(metadata.angles).T, bias, rate, strict=True)]
+            turned = _turned(away, attitude)
             # The look is (-tan PSI_Y, tan PSI_X, -1): to starboard, ahead and up.
             slope = turned[..., 0] / turned[..., 2] / wide
-            seen = -turned[..., 1] / turned[..., 2]
-            return seen - np.interp(slope, across, ahead), slope
+            ahead_of_camera = -turned[..., 1] / turned[..., 2]
+            return ahead_of_camera - np.interp(slope, across, ahead), slope
 
         time = np.zeros((len(values), len(target)))
         step = np.full_like(time, FIRST_STEP)
@@ -120,22 +121,22 @@ class TrackedScanner(Physical):
                 if np.abs(off).max(initial=0.0) < NO_SLOPE:
                     break
             slope = view(time)[1]
-        line = said.line + time / (said.period * (1.0 + PERIOD * x["period"]))
+        line = metadata.line + time / (metadata.period * (1.0 + PERIOD * x["period"]))
         sample = np.interp(slope, across, samples)
         for end, near in ((0, 1), (-1, -2)):  # straight on beyond the array
-            beyond = slope < across[0] if end == 0 else slope > across[-1]
+            is_beyond = slope < across[0] if end == 0 else slope > across[-1]
             steep = (samples[end] - samples[near]) / (across[end] - across[near])
-            sample = np.where(beyond, samples[end] + steep * (slope - across[end]), sample)
+            sample = np.where(is_beyond, samples[end] + steep * (slope - across[end]), sample)
         image = np.stack([line, sample], axis=-1)
         image[~(np.abs(off) < 1e-6)] = np.nan
         return np.asarray(known(self.scaling).image(image.reshape(-1, 2)).reshape(image.shape))
 
 
-def _state(said: Metadata, time: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _state(metadata: Metadata, time: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return positions (..., 3) [m], and axes to starboard, ahead and up as columns (..., 3, 3)."""
     from scipy.interpolate import CubicHermiteSpline  # which other models need not import
 
-    orbit = CubicHermiteSpline(said.times, said.positions, said.velocities)
+    orbit = CubicHermiteSpline(metadata.times, metadata.positions, metadata.velocities)
     station = orbit(time)
     motion = orbit(time, 1)
     up = station / np.linalg.norm(station, axis=-1, keepdims=True)
