@@ -6,7 +6,8 @@ its vertices off the image line. Under one solution on the grid the squared erro
 over its variance, is F distributed, with the noise as the other features leave it. Its tail is
 averaged over the grid with the probabilities that the other features give. Blunders hide each
 other, so the features that fit worst are first set aside, a third of all, and each is admitted
-again once the features in use predict it.
+again once the features in use predict it. Where more than a third of many points are wrong, those
+that a majority agrees on come first (see `termsel.auto.majority`).
 
 A prediction far from the other features rests on the form of the model, and a blunder there looks
 like a bend of the image. No test tells them apart, and only an error that is large even against the
@@ -34,6 +35,7 @@ from termsel.adjustment.bayesian.field import GaussianProcess
 from termsel.adjustment.bayesian.held_out import chance_of
 from termsel.auto.auto import Auto
 from termsel.auto.contradictions import FALSE_ALARM, MIN_STRAIN, Division, Test, polynomial_of
+from termsel.auto.majority import MIN_POINTS, majority
 from termsel.auto.memory import Memory
 from termsel.auto.robust import reweighted
 from termsel.auto.shrunken import Averaging
@@ -50,7 +52,11 @@ TestOf = Callable[[Division], Test | None]
 """A test by the features in use."""
 
 MAX_BLUNDER_SHARE = 1 / 3
-"""Largest share of blunders."""
+"""Largest share of blunders, but for those that a majority of many points contradicts."""
+
+MIN_MINORITY = 1 / 4
+MAX_MINORITY = 1 / 2
+"""Least and largest share of blunders that a majority of points contradicts."""
 
 STEP_SHARE = 0.34
 """Share of the points still to be set aside that one step takes."""
@@ -85,11 +91,19 @@ def _suspects_of(control: FitData, auto: Auto) -> Suspects | None:
     everything = np.ones(len(control), dtype=bool)
     # Asked for at several places, if at all.
     test_of_all = cache(Division(control, everything).shrunken_test)
-    # A core without blunders first, then all that it predicts: one blunder may hide another.
-    core = _core(control, test_of_all)
-    if core is None:
-        return None
-    used, test = _judged_by_field(control, *_readmitted(control, *core, test_of_all))
+    by_majority = None
+    if len(control) >= MIN_POINTS:
+        by_majority = _by_majority(control)
+    if by_majority is not None:
+        max_share = MAX_MINORITY
+        used, test = by_majority
+    else:
+        max_share = MAX_BLUNDER_SHARE
+        # A core without blunders first, then all that it predicts: one blunder may hide another.
+        core = _core(control, test_of_all)
+        if core is None:
+            return None
+        used, test = _judged_by_field(control, *_readmitted(control, *core, test_of_all))
     while not (used.all() or test.by_field) and (
             choice := auto.choose(control.take(used), with_contained=False)):
         # Another model, such as an RFM, may predict what the polynomial of the tests does not.
@@ -100,10 +114,10 @@ def _suspects_of(control: FitData, auto: Auto) -> Suspects | None:
     retained = used
     # With few points a probable blunder may be half of what there is.
     if len(control) >= MIN_PROBABLE_POINTS and not len(control.features.lines):
-        retained = _without_probable(control, used)
+        retained = _without_probable(control, used, max_share)
     if (retained != used).any():
         test = Division(control, retained).test() or test
-    by_projection = _by_projection(control, auto, retained)
+    by_projection = None if by_majority else _by_projection(control, auto, retained)
     if by_projection is not None:
         retained, test = by_projection
     far = test.far(len(control))
@@ -115,6 +129,47 @@ def _suspects_of(control: FitData, auto: Auto) -> Suspects | None:
     cleared = _explained(control, auto, blunders | undecided)
     return test.suspects(blunders & ~cleared, blunders & ~cleared & ~(far & decided),
                          undecided & ~cleared, everything)
+
+
+def _by_majority(control: FitData) -> tuple[BoolArray, Test] | None:
+    """Return the points that agree, and their test, where more than a third are blunders.
+
+    None where the usual search will do: the points that agree with a majority may predict others
+    as well, by more than the polynomial that found it.
+    """
+    agreeing = majority(control)
+    if agreeing is None:
+        return None
+    used = agreeing
+    test = None
+    earlier_sets = set[bytes]()
+    while used.tobytes() not in earlier_sets:
+        earlier_sets.add(used.tobytes())
+        test_of_used = Division(control, used).shrunken_test()
+        if test_of_used is None:
+            return None
+        test = test_of_used
+        # The majority has all that agree, not the closest ones: it tells the noise as it is.
+        far = test.far(len(control))
+        if (~far).sum() < len(control) // 2:
+            break
+        used = ~far
+    if test is None:
+        return None
+    used, test = _judged_by_field(control, used, test, MAX_MINORITY)
+    blunder_share = (~used).mean()
+    return (used, test) if MIN_MINORITY < blunder_share <= MAX_MINORITY else None
+
+
+def agreement(control: FitData) -> BoolArray | None:
+    """Return which of few points agree, where more than a third contradict these.
+
+    None for many points, whose majority decides, and where no more than a third do.
+    """
+    if len(control) >= MIN_POINTS:
+        return None
+    by_majority = _by_majority(control)
+    return None if by_majority is None else by_majority[0]
 
 
 def _by_projection(control: FitData, auto: Auto,
@@ -175,10 +230,10 @@ def _is_parametric(fitted: Fit) -> bool:
                 or isinstance(fitted.interpolation, GaussianProcess))
 
 
-def _without_probable(control: FitData, used: BoolArray) -> BoolArray:
+def _without_probable(control: FitData, used: BoolArray, max_share: float) -> BoolArray:
     """Leave out points that are likelier blunders than right, the likeliest one first each time."""
     retained = used.copy()
-    while (~retained).sum() < int(MAX_BLUNDER_SHARE * len(control)):
+    while (~retained).sum() < int(max_share * len(control)):
         # One at a time: without the worst, the next may look innocent.
         worst = Division(control, retained.copy()).likeliest_blunder()
         if worst is None:
@@ -346,7 +401,8 @@ def _readmitted(control: FitData, used: BoolArray, test: Test, test_of_all: Test
     return used, test
 
 
-def _judged_by_field(control: FitData, used: BoolArray, test: Test) -> tuple[BoolArray, Test]:
+def _judged_by_field(control: FitData, used: BoolArray, test: Test,
+                     max_share: float = MAX_BLUNDER_SHARE) -> tuple[BoolArray, Test]:
     """Judge again by a random field, where the points in use call for one.
 
     Local deformation is no blunder, and what is small next to the error of a polynomial may be
@@ -354,7 +410,7 @@ def _judged_by_field(control: FitData, used: BoolArray, test: Test) -> tuple[Boo
     """
     n = len(control)
     earlier_sets = set[bytes]()
-    while used.tobytes() not in earlier_sets and (~used).sum() <= MAX_BLUNDER_SHARE * n:
+    while used.tobytes() not in earlier_sets and (~used).sum() <= max_share * n:
         earlier_sets.add(used.tobytes())
         field_test = Division(control, used).local_test()
         if field_test is None:

@@ -168,7 +168,7 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
     # choice is made from here on.
     played = with_lines(clean, observations.control.lines)
     fitted = in_role(choice.chosen, played)
-    contradicting, agreeing = judge_independent(clean, choice, auto)
+    contradicting, agreeing = judge_independent(clean, choice, auto, verdict)
     # 5. The same structure with independent points, for export; its figures are of the former.
     final = _final_fit(choice.chosen, played.features.points, data.heights, auto,
                        contradicting.blunders)

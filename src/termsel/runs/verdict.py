@@ -14,7 +14,7 @@ import numpy as np
 from msgspec.structs import replace as changed
 
 from termsel.auto.auto import Auto
-from termsel.auto.blunders import MAX_BLUNDER_SHARE, find_blunders, judge_others
+from termsel.auto.blunders import MAX_BLUNDER_SHARE, agreement, find_blunders, judge_others
 from termsel.auto.contradictions import Division
 from termsel.auto.rule import Choice, method_of
 from termsel.data.exchanged import Exchange, errors_by_others, exchange_of
@@ -31,6 +31,10 @@ from termsel.fitting.method import Suspects
 
 UNSEEN = 0.1
 """Error in the image that nobody can see, so that it makes no feature a blunder [px]."""
+
+UNLIKELY_DEVIATIONS = 2.3
+"""Standard deviations by which blunders among independent points may be more than expected: with a
+chance of a hundredth they are."""
 
 MIN_TESTED_FEATURES = 17
 """Number of features below which a note says what errors cannot be found."""
@@ -98,7 +102,17 @@ def judge_features(observations: Observations, auto: Auto,
     wrong = select(features.ids, suspects.blunders)
     return replace(verdict, outliers=(*off_plane_outliers, *_outliers(features, roles, suspects)),
                    blunders=with_twins(points, wrong).union(wrong),
-                   notes=tuple(_limits(features, suspects)))
+                   notes=(*_on_contradictions(pool, suspects), *_limits(features, suspects)))
+
+
+def _on_contradictions(pool: FitData, suspects: Suspects) -> Iterator[str]:
+    """Yield what to do where about half of the points contradict the others, but are too few."""
+    agreeing = agreement(pool)
+    if agreeing is None or (~agreeing <= suspects.blunders).all():
+        return
+    yield (f"The points contradict one another: {int(agreeing.sum())} of {len(pool)} agree, and "
+           "all are too few to tell which are wrong. Look at "
+           f"{', '.join(select(pool.features.ids, ~agreeing))} in the image.")
 
 
 def _that_can_be_seen(suspects: Suspects | None) -> Suspects | None:
@@ -147,13 +161,14 @@ def _held_against_others(observations: Observations, roles: dict[str, Role],
                      Suspects(is_wrong, is_wrong, is_high, test.errors, test.errors))
 
 
-def judge_independent(observations: Observations, choice: Choice | None,
-                      auto: Auto) -> tuple[Verdict, Observations]:
+def judge_independent(observations: Observations, choice: Choice | None, auto: Auto,
+                      of_others: Verdict | None = None) -> tuple[Verdict, Observations]:
     """Return the verdict on independent points, and the observations without its blunders.
 
     They stay in all figures, next to which those without them are given. `choice` is that of
     control and check without blunders, from several methods: where the chosen model knows the image
-    beforehand, as a vendor's RPC does, it knows of a single point whether it is wrong.
+    beforehand, as a vendor's RPC does, it knows of a single point whether it is wrong. `of_others`
+    is the verdict on control and check: as many blunders may be among independent points.
     """
     points = observations.independent
     suspects = None
@@ -173,7 +188,7 @@ def judge_independent(observations: Observations, choice: Choice | None,
     if suspects is None or not suspects.blunders.any():
         return Verdict(), observations
     # Where most contradict the model it is the model, or their datum, that is in doubt.
-    if suspects.blunders.mean() > MAX_BLUNDER_SHARE and by_geometry is None:
+    if suspects.blunders.sum() > _most_blunders(len(points), of_others) and by_geometry is None:
         count = int(suspects.blunders.sum())
         subject = ("The independent check point contradicts" if len(points) == 1 else
                    f"{count} of {len(points)} independent check points contradict")
@@ -187,6 +202,20 @@ def judge_independent(observations: Observations, choice: Choice | None,
     independent = observations.independent
     return Verdict(outliers, wrong), replace(
         observations, independent=independent.take([name not in wrong for name in independent.ids]))
+
+
+def _most_blunders(count: int, of_others: Verdict | None) -> float:
+    """Return how many of some points may be blunders, before the model is in doubt.
+
+    A third, or as many as are likely where more than a third of the other points are blunders.
+    """
+    most = MAX_BLUNDER_SHARE * count
+    if of_others is None or of_others.test is None:
+        return most
+    share = len(of_others.blunders) / of_others.test.features
+    if share <= MAX_BLUNDER_SHARE:
+        return most
+    return count * share + UNLIKELY_DEVIATIONS * float(np.sqrt(count * share * (1.0 - share)))
 
 
 def _by_what_is_known(fitted: Fit, points: Points, heights: bool,

@@ -1,0 +1,101 @@
+"""More than a third of the points wrong: a majority of many decides, few contradict one another."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+import termsel
+from termsel import FeatureSet
+from termsel.auto.auto import Auto
+from termsel.auto.blunders import agreement, find_blunders
+from termsel.auto.majority import _closest_half, majority
+from termsel.data.features import no_lines
+from termsel.data.fit_data import FitData
+from termsel.data.roles import by_roles
+from termsel.runs.verdict import judge_features
+
+
+def scene(n: int, seed: int = 1) -> FeatureSet:
+    features = termsel.simulate_scene("spot-isfahan", seed=seed, n_points=n, n_lines=0)
+    return features.with_(points=replace(features.points, roles=("control",) * n),
+                          lines=no_lines())
+
+
+def spoilt(features: FeatureSet, share: float, *, alike: bool = False) -> tuple[FeatureSet,
+                                                                               set[int]]:
+    """Return points of which a share is 20 to 60 px off, in any direction or all in one."""
+    n = len(features.points)
+    rng = np.random.default_rng(n)
+    wrong = rng.permutation(n)[:round(share * n)]
+    angle = rng.uniform(0, 2 * np.pi, len(wrong))
+    shift = np.column_stack([np.sin(angle), np.cos(angle)]) * rng.uniform(20, 60, (len(wrong), 1))
+    image = features.points.image.copy()
+    image[wrong] += shift[:1] if alike else shift
+    return features.with_(points=replace(features.points, image=image)), set(wrong.tolist())
+
+
+@pytest.mark.parametrize(("n", "share", "alike"), [(40, 0.4, False), (60, 0.5, False),
+                                                   (60, 0.4, True)])
+def test_a_majority_names_exactly_the_blunders(n: int, share: float, alike: bool) -> None:
+    features, wrong = spoilt(scene(n), share, alike=alike)
+    suspects = find_blunders(FitData.of(features, True))
+    assert suspects is not None
+    assert set(np.flatnonzero(suspects.blunders)) == wrong
+
+
+@pytest.mark.slow
+def test_a_model_costs_what_the_right_points_alone_do() -> None:
+    whole = scene(180)
+    clean = whole.with_(points=whole.points.take(np.arange(180) < 60))
+    others = whole.points.take(np.arange(180) >= 60)
+    features, wrong = spoilt(clean, 0.4)
+
+    def rmse(control: FeatureSet) -> float:
+        errors = termsel.run(features=control).project(others.ground) - others.image
+        return float(np.sqrt((errors**2).sum(axis=1).mean()))
+
+    right = [i not in wrong for i in range(60)]
+    assert rmse(features) == pytest.approx(rmse(clean.with_(points=clean.points.take(right))),
+                                           rel=0.02)
+
+
+def test_sound_points_have_no_minority() -> None:
+    for n, seed in ((20, 1), (40, 2), (100, 3)):
+        data = FitData.of(scene(n, seed), True)
+        assert majority(data) is None
+        assert agreement(data) is None
+
+
+def test_few_points_are_said_to_contradict_one_another() -> None:
+    features, wrong = spoilt(scene(30), 0.4)
+    verdict = judge_features(by_roles(features), Auto())
+    [note] = [note for note in verdict.notes if "contradict one another" in note]
+    assert f"{30 - len(wrong)} of 30 agree" in note
+    for index in wrong:
+        assert features.points.ids[index] in note
+
+
+def test_the_closest_half_is_about_the_best_of_all_halves() -> None:
+    # Of twelve points all 924 halves can be tried.
+    rng = np.random.default_rng(5)
+    for _ in range(5):
+        x = rng.uniform(-1, 1, 12)
+        design = np.column_stack([np.ones(12), x])
+        image = np.column_stack([2 + 3 * x, x]) + rng.normal(0, 0.01, (12, 2))
+        image[:5] += rng.uniform(1, 5, (5, 2))
+
+        def squares(half: tuple[int, ...], design: np.ndarray = design,
+                    image: np.ndarray = image) -> float:
+            of_half = list(half)
+            coefficients = np.linalg.lstsq(design[of_half], image[of_half])[0]
+            return float(((image[of_half] - design[of_half] @ coefficients) ** 2).sum())
+
+        found = _closest_half(design, image, np.ones(2, dtype=bool), np.random.default_rng(0))
+        least = min(map(squares, combinations(range(12), 6)))
+        assert not found[:5].any()
+        # Concentration ends where no refit helps, next to the least of all halves.
+        assert squares(tuple(np.flatnonzero(found))) <= 1.5 * least
