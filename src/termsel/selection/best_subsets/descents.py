@@ -11,6 +11,7 @@ from termsel.data.features import FloatArray, IntArray
 from termsel.selection.best_subsets.columns.kernels import RSS
 from termsel.selection.best_subsets.columns.system import BITS, Masks, SubtreeNode, better
 from termsel.selection.best_subsets.score_systems import ScoreSystems
+from termsel.selection.best_subsets.splicing import spliced
 
 _RESTARTS = 8  # of the descent
 _KICKS = 16  # restarts around the best that may fail in a row
@@ -74,15 +75,23 @@ def _descent(systems: ScoreSystems, starts: list[IntArray]) -> tuple[FloatArray,
     best = np.full(systems.k + 1, np.inf)
     masks = np.zeros(systems.k + 1, dtype=np.uint64)
     visited = set(centres)
+    infeasible: set[bytes] = set()
     nodes = 0
     while centres:
         # Each neighbourhood is walked with the best so far, and thus bounded.
         for mask in centres:
-            for node in _changes(systems, mask):
+            changes = _changes(systems, mask)
+            nodes += len(changes)
+            improved = None
+            if systems.kind == RSS:
+                improved = spliced(systems, mask, best, masks, infeasible)
+            if improved is not None:
+                best, masks = improved
+                continue
+            for node in changes:
                 result = systems.walk(node, best, masks)
                 best = result.best
                 masks = result.masks
-                nodes += 1
         centres = [mask for mask in masks.tolist() if mask and mask not in visited]
         visited.update(centres)
     return best, masks, nodes

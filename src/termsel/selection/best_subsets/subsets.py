@@ -28,6 +28,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from termsel.data.features import BoolArray, FloatArray, IntArray
+from termsel.selection.best_subsets.columns.kernels import RSS
 from termsel.selection.best_subsets.columns.system import (
     Masks,
     NodeResult,
@@ -160,18 +161,26 @@ class _Incumbents:
 
 
 def _descend(incumbents: _Incumbents) -> Iterator[SubsetResult]:
-    """Improve the incumbents by descents, and decide the sizes of few columns after the first."""
+    """Improve the incumbents by descents, and decide the sizes of few columns."""
     systems = incumbents.systems
     for descent, (best, masks) in enumerate(descents(systems)):
         incumbents.best, incumbents.masks = better(incumbents.best, incumbents.masks, best, masks)
         yield incumbents.result([systems.everything])
-        if descent > 0:
-            continue
-        # Those of few columns take a second, the descents several, and all of them hours.
-        for node in _small_sizes(systems):
-            incumbents.replace(systems.walk(node, incumbents.best, incumbents.masks))
-            incumbents.closed_sizes = len(node.used) + node.room + 1
-            yield incumbents.result([systems.everything])
+        # Those of few columns take a second. Descents by residuals take a tenth, others several,
+        # and all subsets hours.
+        if descent == 0 and systems.kind != RSS:
+            yield from _decide_small_sizes(incumbents)
+    if systems.kind == RSS:
+        yield from _decide_small_sizes(incumbents)
+
+
+def _decide_small_sizes(incumbents: _Incumbents) -> Iterator[SubsetResult]:
+    """Decide the sizes of few columns."""
+    systems = incumbents.systems
+    for node in _small_sizes(systems):
+        incumbents.replace(systems.walk(node, incumbents.best, incumbents.masks))
+        incumbents.closed_sizes = len(node.used) + node.room + 1
+        yield incumbents.result([systems.everything])
 
 
 def _branch_and_bound(incumbents: _Incumbents, root: SubtreeNode, cost: Cost | None,

@@ -1,0 +1,97 @@
+"""The best subsets that differ from one by a column, all told from one factorisation.
+
+Descents look at every such change of a subset. Of residual sums of squares one factorisation of the
+subset tells them all, as the sacrifices of splicing do (Zhu et al. 2020, PNAS 117(52)), but exactly
+and for exchanges as well. So only the best of each size is scored as every subset is.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from termsel.adjustment.solve import TOLERANCE
+from termsel.data.features import FloatArray, IntArray
+from termsel.selection.best_subsets.columns.system import BITS, Masks, SubtreeNode
+from termsel.selection.best_subsets.score_systems import ScoreSystems
+
+TRIED = 16
+"""Best changes of a size that are scored, where poles or parents rule some out."""
+
+ROUNDING = 1e-9
+"""A subset reached in another order differs by less."""
+
+
+def spliced(systems: ScoreSystems, mask: int, best: FloatArray, masks: Masks,
+            infeasible: set[bytes]) -> tuple[FloatArray, Masks] | None:
+    """Return the best score and mask of each size, (k + 1,) each, after all changes of a subset.
+
+    Best and masks are those so far. Infeasible subsets that were scored before are not scored
+    again; further ones are added. None where columns of the subset are dependent, or where TRIED
+    changes of a size are infeasible: then all of them have to be walked.
+    """
+    used = systems.everything.used
+    inside = (BITS[systems.everything.candidates] & np.uint64(mask)) != 0
+    members = systems.everything.candidates[inside]
+    outsiders = systems.everything.candidates[~inside]
+    scores = _scores(systems, used, members, outsiders)
+    if scores is None:
+        return None
+    scores[0, 0] = np.inf  # no change
+    if len(members) >= systems.everything.room:
+        scores[0] = np.inf
+    row, column = np.indices(scores.shape)
+    sizes = len(used) + len(members) + (column > 0) - (row > 0)
+    for size in np.unique(sizes):
+        improving = np.flatnonzero((sizes == size) & (scores < (1.0 - ROUNDING) * best[size]))
+        tried = 0
+        for change in improving[np.argsort(scores.flat[improving], kind="stable")]:
+            dropped, added = np.unravel_index(change, scores.shape)
+            subset = np.concatenate([used, members[np.arange(1, len(members) + 1) != dropped],
+                                     outsiders[np.arange(1, len(outsiders) + 1) == added]])
+            key = np.sort(subset).tobytes()
+            if key in infeasible:
+                continue
+            if tried == TRIED:
+                return None
+            tried += 1
+            result = systems.walk(SubtreeNode(subset, outsiders[:0], 0), best, masks)
+            if result.best[size] < best[size]:
+                best = result.best
+                masks = result.masks
+                break
+            infeasible.add(key)
+    return best, masks
+
+
+def _scores(systems: ScoreSystems, used: IntArray, members: IntArray,
+            outsiders: IntArray) -> FloatArray | None:
+    """Return the residual sums of squares (1 + members, 1 + outsiders) after each change.
+
+    Row 0 keeps all members, the others drop one each; column 0 adds none. Infinite where columns
+    would be dependent. With the residuals v of a column and t of the target, adding the column
+    takes (v't)^2 / v'v off t't. A dropped member gives back what its dual vector u, of length 1,
+    has of them: t grows by (u'b) u, and v by (u'a) u.
+    """
+    rows = systems.systems[0]
+    subset = np.concatenate([members, used])
+    target = rows.control[:, systems.k:]
+    columns = rows.control[:, outsiders]
+    Q, R = np.linalg.qr(rows.control[:, subset])
+    if len(R) < len(subset) or (np.abs(np.diag(R)) <= TOLERANCE * rows.lengths[subset]).any():
+        return None
+    # The columns of Q R^-T: each is orthogonal to all of the subset but its own.
+    dual = Q @ np.linalg.inv(R).T[:, :len(members)]
+    dual /= np.linalg.norm(dual, axis=0)
+    t = target - Q @ (Q.T @ target)
+    v = columns - Q @ (Q.T @ columns)
+    u_b = np.vstack([np.zeros(target.shape[1]), dual.T @ target])
+    u_a = np.vstack([np.zeros(len(outsiders)), dual.T @ columns])
+    lengths = (v**2).sum(axis=0) + u_a**2
+    products = v.T @ t + u_a[:, :, None] * u_b[:, None, :]
+    before = (t**2).sum() + (u_b**2).sum(axis=1)
+    independent = lengths > (TOLERANCE * rows.lengths[outsiders]) ** 2
+    after = np.full(lengths.shape, np.inf)
+    gains = np.divide((products**2).sum(axis=2), lengths, where=independent,
+                      out=np.zeros(lengths.shape))
+    after[independent] = (before[:, None] - gains)[independent]
+    return np.column_stack([before, after])
