@@ -26,8 +26,9 @@ OPTIONS = (
 class Nsga2(Solver):
     """NSGA-II: non-dominated sorting and crowding distance (Deb et al. 2002).
 
-    Start, uniform crossover, bit flips and repair are those of all algorithms of pymoo here; genes
-    that are not bits have operators of their own (`termsel.selection.solvers.genetic.operators`).
+    Start, two-point crossover, bit flips and repair are those of all algorithms of pymoo here;
+    genes that are not bits have operators of their own
+    (`termsel.selection.solvers.genetic.operators`).
     The violation is a constraint, so that feasible selections come first.
     """
 

@@ -13,9 +13,9 @@ from termsel.core.options import COUNT, Option
 from termsel.data.features import IntArray
 from termsel.selection.problems.base import Evaluation, Problem
 from termsel.selection.problems.genome import Genome
-from termsel.selection.problems.segments import SEGMENTS, AnySegment, Bits, Genes
+from termsel.selection.problems.segments import SEGMENTS, AnySegment, Genes
 from termsel.selection.solvers.base import Generation, Solver
-from termsel.selection.solvers.genetic.operators import crossover, mutation
+from termsel.selection.solvers.genetic.operators import crossover, evenly, mutation
 
 SMALLEST_POPULATION, LARGEST_POPULATION = 20, 200
 """Fewest and most chromosomes that a budget of evaluations leads to."""
@@ -41,15 +41,6 @@ def two_best(order: IntArray, n: int) -> IntArray:
     The order (p,) is of individuals from best to worst.
     """
     return np.resize(order[:2], n)
-
-
-def evenly(genome: Genome, rng: np.random.Generator, n: int) -> Genes:
-    """Return n individuals, shape (n, size), whose bits are on with chance 1/2; others as ever."""
-    genes = genome.random(rng, n)
-    for segment, columns in zip(genome.segments, genome.slices().values(), strict=True):
-        if isinstance(segment, Bits):
-            genes[:, columns] = rng.random((n, len(segment.labels))) < 0.5
-    return genome.repair(genes, rng)
 
 
 class GeneticAlgorithm(Solver):

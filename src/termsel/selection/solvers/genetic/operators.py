@@ -32,6 +32,15 @@ HALVINGS = 20
 """Neighbours of a number are a half, a quarter, ... of its range away, this many times."""
 
 
+def evenly(genome: Genome, rng: np.random.Generator, n: int) -> Genes:
+    """Return n individuals, shape (n, size), whose bits are on with chance 1/2; others as ever."""
+    genes = genome.random(rng, n)
+    for segment, columns in zip(genome.segments, genome.slices().values(), strict=True):
+        if isinstance(segment, Bits):
+            genes[:, columns] = rng.random((n, len(segment.labels))) < 0.5
+    return genome.repair(genes, rng)
+
+
 def crossover(genes: Genes, genome: Genome, probability: float, rng: np.random.Generator,
               points: int = 0) -> Genes:
     """Return children of neighbours: of genes (p, g) rows 0 and 1 are a pair, 2 and 3, and so on.
