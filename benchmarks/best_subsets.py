@@ -1,0 +1,270 @@
+"""Best subsets beside the field's solvers: the smallest residuals of each number of columns.
+
+``python -m benchmarks.best_subsets --write`` makes docs/evidence/best-subsets.md. Each peer runs in
+an environment of its own, which is made from a stated requirement. With ``--kept FILE`` answers are
+kept, and a repeated command goes on from there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from time import process_time
+from typing import Any
+
+import numpy as np
+from numpy.polynomial.legendre import legvander
+
+import termsel
+from benchmarks.environments import NotInstalled, python_of
+from benchmarks.sets import crs_of, names, put, split
+from termsel import FeatureSet
+from termsel.core.threads import one_blas_thread
+from termsel.data.features import FloatArray
+from termsel.selection.best_subsets.columns.system import SubsetSystem
+from termsel.selection.best_subsets.subsets import SubsetResult, search
+
+SECONDS = 10.0
+"""Limit of each answer of a peer."""
+
+SIZES = (4, 8)
+SETS = (("ikonos-hamedan", 24), ("spot-isfahan", 96), ("ventoux_lines", 48))
+FAMILIES = ("poly3d", "rfm", "legendre")
+
+REQUIREMENTS: Mapping[str, tuple[str, ...]] = {
+    "abess": ("abess==0.4.11",), "okridge": ("okridge==0.1.1", "requests==2.32.5"),
+    "l0bnb": ("l0bnb==1.0.0",), "highs": ("highspy==1.16.0",), "sklearn": ("scikit-learn==1.9.1",)}
+TITLES = {"sklearn": "scikit-learn, forward", "highs": "HiGHS, cutting planes"}
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A system whose columns and target have length 1."""
+
+    name: str
+    X: FloatArray
+    y: FloatArray
+
+
+def cases() -> Iterator[Case]:
+    """Yield the columns of each family for each set that is there."""
+    for name, rows in SETS:
+        if name not in names():
+            continue
+        points, _ = split(name, rows, 1)
+        features = FeatureSet(replace(points, roles=("control",) * rows), crs=crs_of(name))
+        system = termsel.prepare("rfm-terms", features=features, criterion="ebic"
+                                 ).problem.parts()[0].system
+        for family in FAMILIES:
+            X = columns(family, system.design)
+            y = system.target[:, 0]
+            yield Case(f"{family}, {name}, {rows} rows", X / np.linalg.norm(X, axis=0),
+                       y / np.linalg.norm(y))
+
+
+def columns(family: str, design: FloatArray) -> FloatArray:
+    """Return the columns of a family, of the rows of an RFM: 20 monomials above the line come
+    first."""
+    if family == "rfm":
+        return design
+    if family == "poly3d":
+        return design[:, :20]
+    # Products of Legendre polynomials of X, Y and Z, by their total degree: 35 up to the fourth.
+    factors = [legvander(design[:, j], 5) for j in (1, 2, 3)]
+    exponents = sorted(((i, j, k) for i in range(6) for j in range(6) for k in range(6)), key=sum)
+    return np.stack([factors[0][:, i] * factors[1][:, j] * factors[2][:, k]
+                     for i, j, k in exponents[:39]], axis=1)
+
+
+def residuals(case: Case, subset: list[int]) -> float:
+    """Return the residual sum of squares of some columns."""
+    A = case.X[:, subset]
+    return float(((case.y - A @ np.linalg.lstsq(A, case.y)[0]) ** 2).sum())
+
+
+def ours(case: Case, k: int) -> tuple[SubsetResult, float, float]:
+    """Return the proven result, and the seconds to the optimum and to the proof."""
+    system = SubsetSystem(case.X, case.y[:, None])
+    start = process_time()
+    gains = []
+    for state in search(system, "rss", max_terms=k):
+        gains.append((process_time() - start, float(state.best[k])))
+    to_optimum = next(seconds for seconds, score in gains if score <= gains[-1][1] * (1 + 1e-9))
+    return state, to_optimum, gains[-1][0]
+
+
+def penalties(best: FloatArray, case: Case, result: SubsetResult) -> dict[int, tuple[float, float]]:
+    """Return for l0bnb the penalty that has each size as its optimum, and the largest coefficient.
+
+    Sizes that are on no corner of the convex hull have none.
+    """
+    of_sizes = {}
+    for k in SIZES:
+        below = np.arange(k)
+        above = np.arange(k + 1, len(best))
+        most = ((best[below] - best[k]) / (k - below)).min()
+        least = ((best[k] - best[above]) / (above - k)).max()
+        if least < most:
+            A = case.X[:, result.columns(k)]
+            largest = float(np.abs(np.linalg.lstsq(A, case.y)[0]).max())
+            of_sizes[k] = (float(np.sqrt(most * max(least, most * 1e-6)) / 2), largest)
+    return of_sizes
+
+
+@one_blas_thread
+def rows(kept: dict[tuple[str, str, int], dict[str, Any]]) -> Iterator[dict[str, Any]]:
+    """Yield the answers that are not kept: ours first, then those of each peer."""
+    for case in cases():
+        ours(case, 3)  # compiles
+        longest, _, _ = ours(case, max(SIZES) + 1)
+        best = np.append([1.0], longest.best[1:max(SIZES) + 2])
+        for k in SIZES:
+            if (case.name, "exact", k) not in kept:
+                result, to_optimum, to_proof = ours(case, k)
+                yield {"case": case.name, "method": "exact", "k": k, "least": float(result.best[k]),
+                       "optimum": to_optimum, "seconds": to_proof}
+        asked = json.dumps({
+            "X": case.X.tolist(), "y": case.y.tolist(), "sizes": SIZES, "seconds": SECONDS,
+            "least": {k: float(best[k]) for k in SIZES},
+            "penalties": penalties(best, case, longest)})
+        for peer, requirements in REQUIREMENTS.items():
+            if all((case.name, peer, k) in kept for k in SIZES):
+                continue
+            try:
+                python = python_of(peer, requirements)
+            except NotInstalled as reason:
+                yield {"case": case.name, "method": peer, "k": 0, "failure": str(reason)}
+                continue
+            answers = subprocess.run(
+                [python, Path(__file__).with_name("subset_peers.py"), peer], input=asked,
+                capture_output=True, text=True, check=True).stdout
+            for line in answers.splitlines():
+                answer = json.loads(line)
+                left = residuals(case, answer["columns"]) if answer["columns"] else None
+                yield {"case": case.name, "method": peer, "k": answer["k"], "residuals": left,
+                       "size": len(answer["columns"]), "bound": answer["bound"],
+                       "failure": answer["failure"], "seconds": answer["seconds"]}
+
+
+def main() -> None:
+    """Run what is not kept, then print or write the page."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--kept", type=Path, help="file of answers, which are not made again")
+    parser.add_argument("--write", action="store_true", help="write docs/evidence/best-subsets.md")
+    asked = parser.parse_args()
+    kept: dict[tuple[str, str, int], dict[str, Any]] = {}
+    if asked.kept is not None and asked.kept.exists():
+        for line in asked.kept.read_text(encoding="utf-8").splitlines():
+            row = json.loads(line)
+            kept[row["case"], row["method"], row["k"]] = row
+    for row in rows(kept):
+        if asked.kept is not None:
+            with asked.kept.open("a", encoding="utf-8") as stream:
+                stream.write(json.dumps(row) + "\n")
+        kept[row["case"], row["method"], row["k"]] = row
+    put("best-subsets", page(kept), write=asked.write)
+
+
+def page(kept: Mapping[tuple[str, str, int], Mapping[str, Any]]) -> str:
+    """Return the page."""
+    proofs = {(case, k): row for (case, method, k), row in kept.items() if method == "exact"}
+    lines = [HEAD, *_summary(kept, proofs)]
+    for k in SIZES:
+        lines += ["", f"## {k} columns", "",
+                  "| system | method | seconds | residuals by the least | gap that is left |",
+                  "|---|---|---:|---:|---:|"]
+        for (case, size), proof in proofs.items():
+            if size != k:
+                continue
+            lines.append(f"| {case} | exact | {proof['optimum']:.3f}, proof {proof['seconds']:.3f} "
+                         "| 1 | proven |")
+            lines += [_line(kept[case, peer, k], proof["least"]) for peer in REQUIREMENTS
+                      if (case, peer, k) in kept]
+    return "\n".join(lines)
+
+
+def _line(row: Mapping[str, Any], least: float) -> str:
+    title = TITLES.get(row["method"], row["method"])
+    if row["failure"] or row["residuals"] is None:
+        return f"| | {title} | {row['seconds']:.2f} | none: {row['failure'] or 'no subset'} | |"
+    if row["size"] != row["k"]:
+        return f"| | {title} | {row['seconds']:.2f} | {row['size']} columns | |"
+    gap = _gap(row)
+    left = "" if gap is None else "proven" if gap <= PROVEN else f"{gap:.1%}"
+    return f"| | {title} | {row['seconds']:.2f} | {row['residuals'] / least:.4g} | {left} |"
+
+
+PROVEN = 2e-4
+"""Gap of a proof: that at which peers end, and the rounding of their penalties."""
+
+
+def _gap(row: Mapping[str, Any]) -> float | None:
+    """Return which share of the residuals the bound leaves open, at most all of it."""
+    if row["bound"] is None:
+        return None
+    return min(1.0, max(0.0, 1.0 - row["bound"] / row["residuals"]))
+
+
+def _summary(kept: Mapping[tuple[str, str, int], Mapping[str, Any]],
+             proofs: Mapping[tuple[str, int], Mapping[str, Any]]) -> Iterator[str]:
+    """Yield how often each method has the least residuals, proves them, and is faster."""
+    yield ("| method | asked | least residuals | proven | faster than the proof of exact "
+           "| median ratio |")
+    yield "|---|---:|---:|---:|---:|---:|"
+    count = len(proofs)
+    yield f"| exact | {count} | {count} | {count} | | 1 |"
+    for peer in REQUIREMENTS:
+        answers = [(kept[case, peer, k], proof) for (case, k), proof in proofs.items()
+                   if (case, peer, k) in kept]
+        valid = [(row, proof) for row, proof in answers
+                 if row["residuals"] is not None and row["size"] == row["k"]]
+        ratios = [row["residuals"] / proof["least"] for row, proof in valid]
+        proven = sum(gap is not None and gap <= PROVEN for gap in (_gap(row) for row, _ in valid))
+        faster = sum(row["seconds"] < proof["seconds"] for row, proof in valid)
+        yield (f"| {TITLES.get(peer, peer)} | {len(answers)} | "
+               f"{sum(ratio < 1 + PROVEN for ratio in ratios)} | {proven} | {faster} | "
+               + (f"{np.median(ratios):.4g} |" if ratios else "|"))
+    missing = sorted({f"{row['method']} ({row['failure']})" for (_, _, k), row in kept.items()
+                      if not k})
+    if missing:
+        yield ""
+        yield f"Not installed: {'; '.join(missing)}."
+
+
+HEAD = f"""# Best subsets beside other solvers
+
+Made by `python -m benchmarks.best_subsets --write`: which columns leave the smallest residual sum
+of squares, for {" and ".join(map(str, SIZES))} columns. Systems are the line coordinate of
+simulated and measured points, by the 20 terms of `poly3d`, the 39 columns of one axis of an RFM,
+without a guard against poles, and 39 products of Legendre polynomials. Columns and target have
+length 1.
+
+Each peer has an environment of its own:
+{", ".join(packages[0] for packages in REQUIREMENTS.values())}.
+Seconds are those of one processor core, without compilation; each answer of a peer may take
+{SECONDS:.0f}. A proof ends at a relative gap of 0.01 % of the residuals, for all alike.
+
+- **exact** needs no penalty and no bound on coefficients. Seconds are those to the optimum, and to
+  its proof.
+- **okridge** proves a ridge regression; its penalty is 1e-9 times the squared coefficients. Its own
+  gap is relative to the explained squares, next to which residuals are tiny: it gets the gap that
+  is 0.01 % of the least residuals.
+- **l0bnb** has a penalty on each column: the one that has this size as its optimum, from the proven
+  residuals, which it would not know. It gets 1.2 times the largest coefficient as bound.
+- **HiGHS** solves no mixed-integer quadratic programs. It gets the tangents of the least squares as
+  a function of the columns in use, one by one (Bertsimas and Van Parys 2020), with the ridge
+  penalty of okridge.
+- **abess** splices and proves nothing. It gets the target times 1e4, as its thresholds
+  are absolute.
+- **scikit-learn** adds one column after another, each the best.
+
+The gap that is left is one less the lower bound by the residuals of the subset found.
+"""
+
+
+if __name__ == "__main__":
+    main()
