@@ -23,8 +23,8 @@ GAP = 1e-4
 RIDGE = 1e-9
 """Penalty on the squared coefficients where a peer requires one."""
 
-UNIT = 1e4
-"""Factor of the target for abess, whose thresholds are absolute."""
+UNITS = (1.0, 1e2, 1e4, 1e6, 1e8)
+"""Factors of the target for abess, whose thresholds are absolute: the best subset of all counts."""
 
 
 @dataclass(frozen=True)
@@ -47,15 +47,24 @@ def abess(asked: Question) -> Answer:
     """Splice a subset of this size."""
     from abess.linear import LinearRegression
 
-    fitted = LinearRegression(support_size=asked.k, fit_intercept=False, thread=1).fit(
-        asked.X, UNIT * asked.y)
-    return np.flatnonzero(fitted.coef_).tolist(), None
+    subsets = []
+    for unit in UNITS:
+        fitted = LinearRegression(support_size=asked.k, fit_intercept=False, thread=1).fit(
+            asked.X, unit * asked.y)
+        subset = np.flatnonzero(fitted.coef_).tolist()
+        A = asked.X[:, subset]
+        left = asked.y - A @ np.linalg.lstsq(A, asked.y, rcond=None)[0]
+        subsets.append((float(left @ left), subset))
+    return min(subsets)[1], None
 
 
 def okridge(asked: Question) -> Answer:
     """Prove the ridge regression with this number of coefficients."""
+    from okridge.node import Node
     from okridge.tree import BNBTree
 
+    if not hasattr(Node, "lower_solve"):  # version 0.1.1 calls it by this name, which it lacks
+        Node.lower_solve = Node.lower_solve_fast
     tree = BNBTree(asked.X, asked.y, lambda2=RIDGE, max_memory_GB=2)
     # Its costs are without y'y, so that the gap is of another size.
     _, beta, _, bound, _ = tree.solve(asked.k, gap_tol=GAP * asked.least,

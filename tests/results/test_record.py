@@ -173,7 +173,7 @@ FEW = simulate_scene("ikonos-hamedan", roles=(16, 12, 10), n_lines=0)
 PLANE = simulate_map(seed=0, n_points=30)
 MODELS = ("rfm", "poly2d", "poly3d", "affine", "projective2d", "dlt2d", "dlt3d", "helmert2d", "tps",
           "field", "field3d", "poly2d-by-axis", "poly3d-by-axis", "radial2d", "radial3d",
-          "multiquadric", "pointwise", "hybrid-1", "hybrid-3")
+          "multiquadric", "pointwise", "piecewise", "hybrid-1", "hybrid-3")
 
 
 @pytest.mark.parametrize("name", MODELS)

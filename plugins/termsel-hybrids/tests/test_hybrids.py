@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.interpolate import RBFInterpolator
+from scipy.interpolate import LinearNDInterpolator, RBFInterpolator
 
 pytest.importorskip("termsel_hybrids", reason="termsel-hybrids is not installed: "
                     "pip install -e plugins/termsel-hybrids")
@@ -16,10 +16,10 @@ import termsel
 from termsel import DLT2D, FeatureSet, Lines, Points, SensorModel, rpc_of
 from termsel.testing import Check, checks
 from termsel.toolkit import LeastSquares, registry, solve
-from termsel_hybrids import Hybrid1, Hybrid3, Multiquadric, Pointwise
+from termsel_hybrids import Hybrid1, Hybrid3, Multiquadric, Piecewise, Pointwise
 from termsel_hybrids.by_axis import Polynomial2DByAxis, Polynomial3DByAxis
 
-MODELS = ("multiquadric", "pointwise", "hybrid-1", "hybrid-3")
+MODELS = ("multiquadric", "pointwise", "piecewise", "hybrid-1", "hybrid-3")
 
 
 def model_of(name: str, **options: object) -> SensorModel:
@@ -49,6 +49,7 @@ def predicted(model: SensorModel, control: Points, ground: NDArray[np.float64],
 CHECKS = {
     "multiquadric": checks(Multiquadric),
     "hybrid-3": checks(Hybrid3),
+    "piecewise": checks(Piecewise),
     "poly2d-by-axis": checks(Polynomial2DByAxis, options=[{}, {"line_x": 0}]),
     "poly3d-by-axis": checks(Polynomial3DByAxis, options=[{}, {"sample_z": 3}]),
     "hybrid-1": checks(Hybrid1, options=[{"degree": d} for d in (1, 3)]),
@@ -398,3 +399,26 @@ def test_a_polynomial_with_a_correction_is_no_rpc_as_it_is() -> None:
     found = rpc_of(termsel.fit(control, model_of("multiquadric")))
     assert found.how.startswith("all")  # refitted: the polynomial alone is another model
     assert 1e-3 < found.worst < 1.0
+
+
+def test_a_triangle_has_the_affine_transformation_of_its_points() -> None:
+    control = control_points(40)
+    corners = LinearNDInterpolator(control.ground[:, :2], control.image)
+    ground = np.random.default_rng(1).uniform(-0.6, 0.6, (50, 3))
+    np.testing.assert_allclose(predicted(Piecewise(), control, ground), corners(ground[:, :2]),
+                               atol=1e-9)
+
+
+def test_outside_of_all_triangles_a_place_is_corrected_as_the_nearest_of_their_hull() -> None:
+    square = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    weights = Piecewise().residual_weights(square, np.array([[0.5, 3, 0], [4, 4, 0], [1, 1, 0]]))
+    np.testing.assert_allclose(weights, [[0, 0, 0.75, 0.25], [0, 0, 1, 0], [0, 0, 1, 0]],
+                               atol=1e-12)
+
+
+def test_points_on_a_line_or_at_one_place_correct_nothing_or_their_mean() -> None:
+    line = np.column_stack([np.linspace(-1, 1, 5), np.linspace(-1, 1, 5), np.zeros(5)])
+    assert not Piecewise().residual_weights(line, line).any()
+    twice = np.array([[-1.0, -1, 0], [1, -1, 0], [0, 1, 0], [0, 1, 5]])
+    np.testing.assert_allclose(Piecewise().residual_weights(twice, twice[3:]), [[0, 0, 0.5, 0.5]],
+                               atol=1e-12)

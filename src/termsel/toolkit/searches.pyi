@@ -15,6 +15,7 @@ from termsel.selection.problems.segments import Genes as Genes
 from termsel.selection.solvers.bridges.chance import OwnChance as OwnChance
 from termsel.selection.solvers.bridges.pareto import OPTIONS as OPTIONS
 from termsel.selection.solvers.bridges.pareto import Nsga2 as Nsga2
+from termsel.selection.solvers.bridges.pareto import population_size as population_size
 from termsel.selection.solvers.bridges.pymoo_operators import operators as operators
 from termsel.selection.solvers.bridges.pymoo_problem import steps as steps
 from termsel.selection.solvers.genetic.operators import crossover as crossover

@@ -18,20 +18,21 @@ from termsel_hybrids.hybrid1 import Hybrid1
 from termsel_hybrids.legendre import RationalLegendre
 from termsel_hybrids.line_directions import LineAffine, LineConformal
 from termsel_hybrids.multiquadric import Hybrid3, Multiquadric
+from termsel_hybrids.piecewise import Piecewise
 from termsel_hybrids.pointwise import Pointwise
 
 if TYPE_CHECKING:
     from termsel import ProblemData, SensorModel
 
-__all__ = ["Hybrid1", "Hybrid3", "LineAffine", "LineConformal", "Multiquadric", "Pointwise",
-           "RationalLegendre"]
+__all__ = ["Hybrid1", "Hybrid3", "LineAffine", "LineConformal", "Multiquadric", "Piecewise",
+           "Pointwise", "RationalLegendre"]
 
 
 @hookimpl
 def termsel_models() -> Iterable[type[SensorModel]]:
     """Return the models of this package."""
-    return [Multiquadric, Pointwise, Hybrid1, Hybrid3, Polynomial2DByAxis, Polynomial3DByAxis,
-            LineAffine, LineConformal, RationalLegendre]
+    return [Multiquadric, Pointwise, Piecewise, Hybrid1, Hybrid3, Polynomial2DByAxis,
+            Polynomial3DByAxis, LineAffine, LineConformal, RationalLegendre]
 
 
 @hookimpl

@@ -14,7 +14,14 @@ from pymoo.core.algorithm import Algorithm
 from pymoo.util.ref_dirs import get_reference_directions
 
 from termsel import Generation, Option, Problem, Solver, TermselError
-from termsel.toolkit.searches import OPTIONS, SEGMENTS, OwnChance, operators, steps
+from termsel.toolkit.searches import (
+    OPTIONS,
+    SEGMENTS,
+    OwnChance,
+    operators,
+    population_size,
+    steps,
+)
 from termsel_optimisers.survivals import RveaSurvival, with_safe_survival
 
 ALGORITHMS = {
@@ -91,7 +98,7 @@ class Pymoo(Solver):
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
         """Yield generations without end (see `Solver.generations`)."""
         name = self.options["algorithm"]
-        population = self.options["population"]
+        population = population_size(self.options["population"], problem)
         module, _, class_name = ALGORITHMS[name].partition(":")
         algorithm_class = getattr(import_module(f"pymoo.algorithms.{module}"), class_name)
         arguments = operators(problem.genome, self.options["mutation"], rng)
