@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
+from itertools import combinations, pairwise
 
 import numpy as np
 import pytest
 
 import termsel
+from termsel.selection.solvers.genetic.operators import replace_one, set_crossover
 
 
 def by_particle(problem: termsel.Problem, seed: int, particles: int, steps: int,
@@ -113,3 +116,43 @@ def test_the_median_error_by_area_is_that_of_hull_and_median() -> None:
         expected.append(np.median(np.hypot(*errors.T)) / covered)
     found = task.problem.evaluate(genes).objectives[:, 0]
     assert found == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_mutant_of_the_steady_state_has_any_one_feature_replaced_by_any_other() -> None:
+    member, n, repetitions = [0, 2, 5], 7, 24_000
+    mutants = replace_one(np.tile(member, (repetitions, 1)), n, 1.0, np.random.default_rng(1))
+    counts = Counter(map(tuple, mutants.tolist()))
+    # By hand: each of three members leaves, and each of four outsiders comes in its place.
+    expected = {tuple(sorted(set(member) - {gone} | {new}))
+                for gone in member for new in set(range(n)) - set(member)}
+    assert set(counts) == expected
+    # Twelve mutants are equally likely: 2,000 of each, with a standard deviation of 43.
+    assert all(abs(count - repetitions / 12) < 5 * 43 for count in counts.values())
+
+
+def test_a_child_of_the_steady_state_keeps_what_is_shared_and_draws_the_rest_evenly() -> None:
+    parents, repetitions = ([0, 1, 2, 6], [0, 3, 5, 6]), 8_000
+    pairs = np.tile(np.array(parents), (repetitions, 1))
+    children = set_crossover(pairs, 1.0, np.random.default_rng(2))
+    counts = Counter(map(tuple, children.tolist()))
+    # By hand: 0 and 6 are of both; two of the four others are drawn, which are six pairs.
+    expected = {tuple(sorted({0, 6, *rest})) for rest in combinations((1, 2, 3, 5), 2)}
+    assert set(counts) == expected
+    # Of 16,000 children a sixth, with a standard deviation of 47.
+    assert all(abs(count - 2 * repetitions / 6) < 5 * 47 for count in counts.values())
+    assert (set_crossover(pairs, 0.0, np.random.default_rng(2)) == pairs).all()
+
+
+def test_the_steady_state_keeps_the_best_half_of_different_chromosomes() -> None:
+    task = termsel.prepare("owdis-points", model="affine",
+                           options={"min_features": 6, "max_features": 6, "check_as": "judge"})
+    generations = []
+    termsel.search(task.problem, termsel.get("solver", "ga-steady")(population=10), seed=4,
+                   generations=5, observers=[
+                       lambda progress: generations.append(progress.generation)])
+    for earlier, later in pairwise(generations):
+        ranked = sorted(zip(earlier.evaluation.violation.tolist(),
+                            earlier.evaluation.objectives[:, 0].tolist(),
+                            map(bytes, earlier.genes.astype(np.uint8)), strict=True))
+        best = list(dict.fromkeys(genes for _, _, genes in ranked))[:5]
+        assert set(best) <= set(map(bytes, later.genes.astype(np.uint8)))
