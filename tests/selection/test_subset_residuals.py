@@ -13,7 +13,9 @@ from termsel.selection.best_subsets import score_systems as score_systems_module
 from termsel.selection.best_subsets import subsets
 from termsel.selection.best_subsets.bounds.poles import node_bound, order_columns
 from termsel.selection.best_subsets.columns.system import SubsetSystem, SubtreeNode
+from termsel.selection.best_subsets.descents import _changes
 from termsel.selection.best_subsets.score_systems import ScoreSystems, score_systems
+from termsel.selection.best_subsets.splicing import spliced
 from termsel.selection.best_subsets.subsets import SubsetResult, search
 
 pytestmark = pytest.mark.usefixtures("bounds_of_few")
@@ -189,3 +191,27 @@ def test_with_figures_the_sizes_that_smaller_ones_beat_stay_unknown(
         assert (cost(found.floor)[beaten] >= np.minimum.accumulate(known)[beaten] - 1e-9).all()
         spared += (found.floor < whole.best)[beaten].sum()
     assert spared > 25
+
+
+def test_splicing_finds_the_best_of_all_changes_by_a_column() -> None:
+    rng = np.random.default_rng(11)
+    compared = 0
+    for _ in range(120):
+        system = problem(rng)
+        systems = score_systems(system, "rss", (), int(rng.integers(3, 7)))
+        everything = systems.everything
+        count = int(rng.integers(0, everything.room + 1))
+        members = rng.permutation(everything.candidates)[:count]
+        mask = int(sum(1 << int(column) for column in (*everything.used, *members)))
+        nothing = (np.full(systems.k + 1, np.inf), np.zeros(systems.k + 1, dtype=np.uint64))
+        found = spliced(systems, mask, *nothing, set())
+        best, masks = nothing
+        for node in _changes(systems, mask):
+            walked = systems.walk(node, best, masks)
+            best, masks = walked.best, walked.masks
+        if found is None:
+            continue
+        sizes = np.flatnonzero(np.isfinite(found[0]))
+        np.testing.assert_allclose(found[0][sizes], best[sizes], rtol=1e-7, atol=1e-12)
+        compared += len(sizes)
+    assert compared > 100

@@ -36,9 +36,8 @@ def spliced(systems: ScoreSystems, mask: int, best: FloatArray, masks: Masks,
     scores = _scores(systems, used, members, outsiders)
     if scores is None:
         return None
-    scores[0, 0] = np.inf  # no change
     if len(members) >= systems.everything.room:
-        scores[0] = np.inf
+        scores[0, 1:] = np.inf
     row, column = np.indices(scores.shape)
     sizes = len(used) + len(members) + (column > 0) - (row > 0)
     for size in np.unique(sizes):
@@ -67,10 +66,10 @@ def _scores(systems: ScoreSystems, used: IntArray, members: IntArray,
             outsiders: IntArray) -> FloatArray | None:
     """Return the residual sums of squares (1 + members, 1 + outsiders) after each change.
 
-    Row 0 keeps all members, the others drop one each; column 0 adds none. Infinite where columns
-    would be dependent. With the residuals v of a column and t of the target, adding the column
-    takes (v't)^2 / v'v off t't. A dropped member gives back what its dual vector u, of length 1,
-    has of them: t grows by (u'b) u, and v by (u'a) u.
+    Row 0 keeps all members, the others drop one each; column 0 adds none, so that [0, 0] is the
+    subset itself. Infinite where columns would be dependent. With the residuals v of a column and t
+    of the target, adding the column takes (v't)^2 / v'v off t't. A dropped member gives back what
+    its dual vector u, of length 1, has of them: t grows by (u'b) u, and v by (u'a) u.
     """
     rows = systems.systems[0]
     subset = np.concatenate([members, used])
