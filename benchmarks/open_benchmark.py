@@ -1,7 +1,8 @@
 """The open benchmark: all methods of `termsel bench` on its forty sets.
 
-``python -m benchmarks.open_benchmark --write`` makes docs/evidence/benchmark.md. Peers that are not
-installed have no result: rasterio, scikit-learn and Orthority are required for the page.
+``python -m benchmarks.open_benchmark --write`` makes docs/evidence/benchmark.md, and the results in
+plugins/termsel-bench. Peers that are not installed have no result: rasterio, scikit-learn and
+Orthority are required for the page.
 """
 
 from __future__ import annotations
@@ -10,23 +11,27 @@ import argparse
 import sys
 from collections.abc import Iterator, Sequence
 
-from benchmarks.sets import put
+from benchmarks.sets import ROOT, put
 from termsel_bench.methods.base import AUTO, PEERS, Method
 from termsel_bench.protocol import Score, scores
 from termsel_bench.scenes.catalogue import SETS
+from termsel_bench.submitted import texts_of
 from termsel_bench.tables import LOSS_RATIO, by_kind, losses
 
 METHODS = (AUTO, Method("solver", "ga"), *(Method("peer", name) for name in PEERS))
 
+RESULTS = ROOT / "plugins" / "termsel-bench" / "results"
+"""Where the results of each method are kept."""
+
 HEAD = """# The open benchmark
 
 Made by `python -m benchmarks.open_benchmark --write`: forty simulated sets of nine kinds, with
-1,000 independent points each, without noise. The [datasheet](../reference/datasheet.md) has the
-sets, and [Compare your own method](../how-to/benchmark.md) the protocol.
+1,000 independent check points each, without noise. The [datasheet](../reference/datasheet.md) has
+the sets, and [Compare your own method](../how-to/benchmark.md) the protocol.
 
 `auto` is what termsel does where nothing is asked; `solver ga` is the papers' search of terms with
-check points as fitness. `deap-script` and `pymoo-script` are such searches without termsel, of 20
-terms an axis. `gdal-polynomial` has the order that GDAL takes; `ransac` and `scikit-learn` are
+selection points as fitness. `deap-script` and `pymoo-script` are such searches without termsel, of
+20 terms an axis. `gdal-polynomial` has the order that GDAL takes; `ransac` and `scikit-learn` are
 polynomials of space. All but `auto` and `orthority` ignore the RPC. All but `auto` and `solver ga`
 ignore lines.
 
@@ -51,7 +56,7 @@ def page(found: Sequence[Score]) -> str:
     return "\n".join([
         HEAD, *rows(*by_kind(found)),
         f"\n## Where auto loses\n\n`auto` loses on {len(worse)} of {len(SETS)} sets by more than "
-        f"{100 * (LOSS_RATIO - 1):.0f} %. Intervals of 95 % are of the independent points.\n",
+        f"{100 * (LOSS_RATIO - 1):.0f} %. Intervals of 95 % are of the independent check points.\n",
         *rows(("set", "points", "auto [px]", "best method", "its RMSE [px]", "ratio"), lost)])
 
 
@@ -70,6 +75,9 @@ def main() -> None:
         if one.method == METHODS[-1]:
             print(one.set_name, file=sys.stderr)
     put("benchmark", page(found), write=asked.write)
+    if asked.write:
+        for name, text in texts_of(found).items():
+            (RESULTS / name).write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":
