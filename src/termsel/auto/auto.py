@@ -34,7 +34,7 @@ from termsel.auto.rule import (
     method_of,
     standard_errors,
 )
-from termsel.auto.validated import gain_of, has_pole
+from termsel.auto.validated import fit_of, gain_of, has_pole
 from termsel.core.errors import TermselError
 from termsel.core.isolation.arrays import of_shape, of_type
 from termsel.core.isolation.faults import HINT, PluginFault, blamed, is_own, wrong
@@ -194,6 +194,14 @@ class Auto(Method):
         # The automatic choice needs one point more than a model that fits them exactly.
         return 1 if any(method.from_one for method in self.offered(data)) else MAX_EXACT_POINTS + 1
 
+    def fit_of(self, method: Method, data: FitData) -> Fit | None:
+        """Return the fit of a method, or None as of `ask`; of all features it is kept."""
+        if self.all_features is not None or not is_own(method):
+            fitted: Fit | None = self.ask(method, "fit", data)
+        else:
+            fitted = self._call(method, "fit", lambda: fit_of(method, data))
+        return fitted
+
     def validated(self, method: Method, data: FitData) -> Fit | None:
         """Return a method fitted to features, with the errors of each held out.
 
@@ -202,10 +210,10 @@ class Auto(Method):
         """
         if method.name in self.hopeless or not self.ask(method, "tried", data):
             return None
-        unnamed: Fit | None = self.ask(method, "fit", data)
+        unnamed = self.fit_of(method, data)
         if unnamed is None:
             return None
-        fitted = replace(unnamed, method=method)
+        fitted = unnamed if unnamed.method is method else replace(unnamed, method=method)
         # An error without redundancy, or with a pole, would be one by chance.
         if fitted.stored_held_out is None and (
                 fitted.adjustment.redundancy < 1 or has_pole(fitted)):

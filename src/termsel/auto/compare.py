@@ -94,7 +94,7 @@ def compare(observations: Observations, auto: Auto, choice: Choice | None = None
         model = auto.ask(method, "model", data.heights)
         # RFM are what the literature compares with: they are shown though the choice refused them.
         if name not in fits and not method.for_few and isinstance(model, RationalModel):
-            fitted = auto.ask(method, "fit", data)
+            fitted = auto.fit_of(method, data)
             if fitted is not None and (not fitted.estimator.least_squares
                                        or fitted.adjustment.redundancy > 0):
                 fits[name] = fitted, None

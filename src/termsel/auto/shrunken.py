@@ -84,9 +84,14 @@ def fit_of(estimator: Estimator, model: Polynomial, control: FeatureSet, scaling
            used: BoolArray, average_of_all: Average) -> Fit:
     """Return the fit that an average of solutions for the features in use is."""
     coefficients = average_of_all.coefficients.T.ravel()
-    equations = model.equations(
-        scaling.features(control))
-    in_use = (equations.b - equations.A @ coefficients)[used[equations.feature]]
+    scaled = scaling.features(control)
+    if len(scaled.lines):
+        equations = model.equations(scaled)
+        in_use = (equations.b - equations.A @ coefficients)[used[equations.feature]]
+    else:
+        points = scaled.points
+        predicted = monomials(points.ground, model.exponents) @ average_of_all.coefficients
+        in_use = ((points.image - predicted) * weights_of(points))[used].ravel()
     freedom = len(in_use) - average_of_all.effective
     count = round(average_of_all.effective)
     sigma0 = float(np.sqrt(in_use @ in_use / freedom)) if freedom > 0.5 else np.nan

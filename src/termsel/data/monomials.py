@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from termsel.data.arrays import FloatArray
+
+KEPT_PLACES = 200
+"""Most places whose monomials are kept for models to come."""
 
 Exponent = tuple[int, int, int]
 """Powers of X, Y and Z in a monomial."""
@@ -60,7 +65,23 @@ def monomial_name(exponent: Exponent) -> str:
 
 
 def monomials(ground: FloatArray, exponents: Exponents) -> FloatArray:
-    """Return k monomials, by their exponents of X, Y, Z, at ground points (n, 3), shape (n, k)."""
+    """Return k monomials, by their exponents of X, Y, Z, at ground points (n, 3), shape (n, k).
+
+    They are not to be written into: many models are fitted to the same few places.
+    """
+    if len(ground) > KEPT_PLACES:
+        return _monomials(ground, exponents)
+    return _kept_monomials(np.asarray(ground, dtype=np.float64).tobytes(), exponents)
+
+
+@lru_cache(maxsize=64)
+def _kept_monomials(ground: bytes, exponents: Exponents) -> FloatArray:
+    columns = _monomials(np.frombuffer(ground).reshape(-1, 3), exponents)
+    columns.setflags(write=False)
+    return columns
+
+
+def _monomials(ground: FloatArray, exponents: Exponents) -> FloatArray:
     highest = max(max(e) for e in exponents)
     # powers[i] = ground^i, by products: a power function is slower and rounds otherwise.
     powers = np.ones((highest + 1, *ground.shape))

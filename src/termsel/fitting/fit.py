@@ -560,7 +560,7 @@ class Fit(Glance):
             return self.stored_held_out
         return (self.estimator if self.method is None else self.method).held_out(self)
 
-    @property
+    @cached_property
     def held_out_rmse(self) -> float:
         """RMSE of features in use, each held out [px], over points and vertices of lines."""
         # Over all measured positions, so that lines count by their vertices.

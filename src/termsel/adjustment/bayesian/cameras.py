@@ -10,9 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
+from termsel.adjustment.compiled import compiled
+from termsel.adjustment.fused import fused
 from termsel.data.coordinates.crs import EARTH, body_of, metres_per_unit
 from termsel.data.coordinates.metres import is_in_degrees, plan_of
 from termsel.data.coordinates.wgs84 import EARTH_ROTATION, GRAVITY_CONSTANT, to_ecef
@@ -108,6 +111,9 @@ def east_north_up(scaling: Scaling, crs: str,
     return offsets, np.nan
 
 
+_compiled = partial(compiled, _nrt=False)
+
+
 @dataclass(frozen=True, eq=False)
 class _Flights:
     """Circular orbits, in axes to the east, north and up whose origin is the centre of the Earth.
@@ -120,14 +126,16 @@ class _Flights:
     pole: FloatArray     # (c, 3)
 
     def sight(self, positions: FloatArray, time: FloatArray) -> FloatArray:
-        """Return what leads from the satellites to places (m, 3) at times (c, m), (c, m, 3).
+        """Return what leads from the satellites to places (m, 3) at times (c, m), (3, c, m).
 
         In axes that turn with the orbit the satellite rests; the Earth turns in inertial space.
         """
-        turned = rotate(positions[None] + [0.0, 0.0, EARTH_RADIUS], self.pole,
-                        EARTH_ROTATION * time)
-        return np.asarray(rotate(turned, self.orbit, -self.motion[:, None] * time)
-                          - self.station[:, None])
+        sight = np.empty((3, *time.shape))
+        sight[:] = (positions + np.array([0.0, 0.0, EARTH_RADIUS])).T[:, None]
+        _turn(sight, self.pole, EARTH_ROTATION * time)
+        _turn(sight, self.orbit, -self.motion[:, None] * time)
+        sight -= self.station.T[:, :, None]
+        return sight
 
 
 def _flights(rng: np.random.Generator, heading: FloatArray, latitude: float, tilt: FloatArray,
@@ -174,13 +182,15 @@ def scanner_views(positions: FloatArray, azimuth: float,
     def view(time: FloatArray) -> FloatArray:
         """Return how far the view of places is off line and sample at a time: 0 when they are seen.
         """
-        rays = flights.sight(positions, time) @ axes
-        slopes = rays[..., :2] / rays[..., 2:]
+        sight = flights.sight(positions, time)
+        along, across, ahead = (sum(axes[:, i, j, None] * sight[i] for i in range(3))
+                                for j in range(3))
+        line = along / ahead
+        sample = across / ahead
         # Rates and their changes over the time of the image: a + b t^2 / 2, to second order.
         roll, pitch, spin = (rate[:, i, None] * time + change[:, i, None] * time**2 / 2
                              for i in range(3))
-        return np.asarray(slopes - np.stack([pitch + spin * slopes[..., 1],
-                                             roll - spin * slopes[..., 0]], axis=-1))
+        return np.stack([line - (pitch + spin * sample), sample - (roll - spin * line)])
 
     return (_views_at_sight(view, positions, azimuth, n),)
 
@@ -207,8 +217,9 @@ def radar_views(positions: FloatArray, azimuth: float, latitude: float, *,
     def view(time: FloatArray) -> FloatArray:
         """Return Doppler, range, and angle at the Earth's centre, of places at a time."""
         # Doppler by a difference of two ranges, and the range itself.
-        distance, next_distance = (np.linalg.norm(flights.sight(positions, at), axis=2)
-                                   for at in (time, time + FIRST_STEP))
+        distance, next_distance = (
+            np.sqrt((flights.sight(positions, at) ** 2).sum(axis=0))
+            for at in (time, time + FIRST_STEP))
         surface = EARTH_RADIUS + climb * time
         # What puts a range on the ground is a sphere whose radius drifts.
         cosine = np.clip((orbit_radius ** 2 + surface ** 2 - distance ** 2) /
@@ -217,8 +228,7 @@ def radar_views(positions: FloatArray, azimuth: float, latitude: float, *,
         visible_distance = np.where((sine > RADAR_SINES[0]) & (sine < RADAR_SINES[1]), distance,
                                     np.nan)
         return np.stack([(next_distance-distance) / FIRST_STEP / orbit_radius, visible_distance,
-                         np.arccos(cosine)],
-                        axis=-1)
+                         np.arccos(cosine)])
 
     views = _views_at_sight(view, positions, azimuth, n)
     return views[..., [0, 1]], views[..., [0, 2]]
@@ -248,9 +258,9 @@ def frame_views(positions: FloatArray, azimuth: float) -> tuple[FloatArray, ...]
 
 def _views_at_sight(view: Callable[[FloatArray], FloatArray], positions: FloatArray, azimuth: float,
                     cameras: int) -> FloatArray:
-    """Return times (c, m) at which the first of what a view has is 0, and then the others.
+    """Return times (c, m) at which the first of what a view has is 0, and the others, (c, m, .).
 
-    Cameras that do not see all places are left out.
+    A view gives what it has at times, (., c, m). Cameras that do not see all places are left out.
     """
     # A satellite passes the ground at 7 km/s: the first guess of the time.
     guess = positions @ np.array([np.sin(azimuth), np.cos(azimuth), 0.0]) / GROUND_SPEED
@@ -264,13 +274,13 @@ def _views_at_sight(view: Callable[[FloatArray], FloatArray], positions: FloatAr
             time = np.clip(time + step, -MAX_TIME, MAX_TIME)
             previous = views
             views = view(time)
-            change = views[..., 0] - previous[..., 0]
-            step = np.where(np.abs(change) > 1e-13, -views[..., 0] * step / change, 0.0)
-    views[..., 0] = time
+            change = views[0] - previous[0]
+            step = np.where(np.abs(change) > 1e-13, -views[0] * step / change, 0.0)
+    views[0] = time
     # Cameras for which some place is never seen are left out of the prior.
-    valid = np.isfinite(views).all(axis=(1, 2)) & (np.abs(step).max(axis=1) < TIME_TOLERANCE) & (
+    valid = np.isfinite(views).all(axis=(0, 2)) & (np.abs(step).max(axis=1) < TIME_TOLERANCE) & (
         np.abs(time).max(axis=1) < MAX_TIME)
-    return np.asarray(views[valid])
+    return np.moveaxis(views[:, valid], 0, -1)
 
 
 def _unit(vectors: FloatArray) -> FloatArray:
@@ -278,11 +288,33 @@ def _unit(vectors: FloatArray) -> FloatArray:
 
 
 def rotate(vectors: FloatArray, axis: FloatArray, angle: FloatArray) -> FloatArray:
-    """Return vectors (., m, 3) turned about axes (c, 3) by angles (c, m) (Rodrigues' formula)."""
-    # v + sin(angle) a x v + (1 - cos(angle)) a x (a x v); the products are those of matrices.
-    x, y, z = axis.T
-    zero = np.zeros_like(x)
-    cross = np.array([[zero, z, -y], [-z, zero, x], [y, -x, zero]]).transpose(2, 0, 1)
-    cross_product = vectors @ cross
-    return np.asarray(vectors + np.sin(angle)[..., None] * cross_product
-                      + (1.0 - np.cos(angle))[..., None] * (cross_product @ cross))
+    """Return vectors (., m, 3) turned about axes (c, 3) by angles (c, m)."""
+    turned = np.empty((3, *angle.shape))
+    turned[:] = np.moveaxis(vectors, -1, 0)
+    _turn(turned, axis, angle)
+    return np.moveaxis(turned, 0, -1)
+
+
+def _turn(vectors: FloatArray, axis: FloatArray, angle: FloatArray) -> None:
+    """Turn vectors (3, c, m) about axes (c, 3) by angles (c, m), in place."""
+    _add_rotation(vectors[0], vectors[1], vectors[2], axis, np.sin(angle), 1.0 - np.cos(angle))
+
+
+@_compiled
+def _add_rotation(x: FloatArray, y: FloatArray, z: FloatArray, axis: FloatArray, sine: FloatArray,
+                  one_less_cosine: FloatArray) -> None:
+    """Turn by Rodrigues' formula, v + sin(angle) a x v + (1 - cos(angle)) a x (a x v).
+
+    The rate of a range is a difference of two, in which rounding shows: it is the same everywhere.
+    """
+    for c in range(len(axis)):
+        a = axis[c, 0]
+        b = axis[c, 1]
+        d = axis[c, 2]
+        for m in range(x.shape[1]):
+            u = fused(z[c, m], b, -(d * y[c, m]))
+            v = fused(z[c, m], -a, d * x[c, m])
+            w = fused(y[c, m], a, -(b * x[c, m]))
+            x[c, m] = x[c, m] + sine[c, m] * u + one_less_cosine[c, m] * fused(w, b, -(d * v))
+            y[c, m] = y[c, m] + sine[c, m] * v + one_less_cosine[c, m] * fused(w, -a, d * u)
+            z[c, m] = z[c, m] + sine[c, m] * w + one_less_cosine[c, m] * fused(v, a, -(b * u))

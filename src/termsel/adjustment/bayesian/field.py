@@ -29,7 +29,7 @@ knots. The prior is termsel's own.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -49,6 +49,7 @@ from termsel.adjustment.bayesian.posterior import (
     normalized,
     polynomial_posterior,
     posterior,
+    posteriors,
 )
 from termsel.adjustment.bayesian.predicted_positions import predict_positions
 from termsel.adjustment.equations import weights_of
@@ -99,11 +100,25 @@ decomposed."""
 class FieldSolutions:
     """All solutions with one pair of lengths, or without a field."""
 
-    posterior: Posterior
+    grid: Posterior | None  # None where it is not likely enough to matter
     log_evidence: float  # up to what is common to all pairs of lengths
     lengths: tuple[float, float] | None  # None without a field
     # (c, k): what makes coefficients of the field uncorrelated; empty without one.
     whitening: FloatArray
+
+    @property
+    def posterior(self) -> Posterior:
+        """All solutions, of what is likely enough to matter."""
+        assert self.grid is not None
+        return self.grid
+
+    def without_unlikely(self, highest: float) -> FieldSolutions:
+        """Return itself, without what many points leave in memory where others are far likelier.
+
+        `highest` is the greatest log evidence.
+        """
+        likely = self.log_evidence > highest - MAX_LOG_RATIO
+        return self if likely else replace(self, grid=None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -285,31 +300,36 @@ def _cached_gaussian_process(measurements: Measurements,
     # Of many points a hundred knots, spread evenly: a field between them is smooth.
     knots = farthest_points(positions, FIELD_KNOTS)
     weights = None if points.sigma is None else weights_of(points)
-    scales = _scales_with_field(shrunk, len(knots))
+    scales = _scales_with_field(tuple(exponents[variables + 1:]), len(knots))
     spline_weight = _spline_weight(len(points)) if variables == 2 else 0.0
 
-    solutions = []
-    for lengths in (None, *FIELD_LENGTHS, SPLINE_LENGTHS):
-        if lengths == SPLINE_LENGTHS and spline_weight == 0.0:
-            continue
-        whitening = _whitening(knots, lengths)
-        if lengths is None:
-            # Without a field the polynomial has closed forms of its own, which are quicker.
-            grid = polynomial_posterior(points.ground, points.image, exponents, weights)
-        else:
-            if lengths == SPLINE_LENGTHS:  # next to affine functions alone, all of one scale
-                scales = np.repeat([[0.0, 1.0]], [len(shrunk), len(whitening)], axis=1)
-            grid = posterior(
-                _with_field(columns, positions, knots, lengths, whitening), points.image,
-                np.concatenate([order, np.full(len(whitening), FIELD_DEGREE)]), weights, scales,
-                in_use=len(points), n_own=len(shrunk))
-        if grid is None:
+    grid = polynomial_posterior(points.ground, points.image, exponents, weights)
+    if grid is None:
+        return None
+    solutions = [_solutions_of(grid, None, np.empty((0, 0)))]
+    lead = columns[:, :variables + 1]
+    own = columns[:, variables + 1:]
+    # Next to a polynomial with fields of all lengths, as one stack where points are few.
+    at_once = len(FIELD_LENGTHS) if knots is positions else 1
+    for start in range(0, len(FIELD_LENGTHS), at_once):
+        batch = FIELD_LENGTHS[start:start + at_once]
+        whitenings = [_whitening(knots, lengths) for lengths in batch]
+        shrunken = np.array([_with_field(own, positions, knots, lengths, whitening)
+                             for lengths, whitening in zip(batch, whitenings, strict=True)])
+        grids = posteriors(lead, shrunken, points.image, weights, scales, len(shrunk))
+        if grids is None:
             return None
-        # Each pair of lengths shares its probability among the scales that are tried with it.
-        prior = _prior_probability(lengths) * (spline_weight if lengths == SPLINE_LENGTHS else 1.0)
-        solutions.append(FieldSolutions(
-            grid, grid.cells.log_evidence + np.log(prior / len(grid.scales)), lengths,
-            whitening))
+        solutions += map(_solutions_of, grids, batch, whitenings)
+        highest = max(solution.log_evidence for solution in solutions)
+        solutions[1:] = [solution.without_unlikely(highest) for solution in solutions[1:]]
+    if spline_weight > 0.0:  # next to affine functions alone, all of one scale
+        whitening = _whitening(knots, SPLINE_LENGTHS)
+        grids = posteriors(
+            lead, _with_field(own, positions, knots, SPLINE_LENGTHS, whitening)[None], points.image,
+            weights, np.repeat([[0.0, 1.0]], [len(shrunk), len(whitening)], axis=1), len(shrunk))
+        if grids is None:
+            return None
+        solutions.append(_solutions_of(grids[0], SPLINE_LENGTHS, whitening, spline_weight))
     # Where a spline is a course of its own, so is the affine image that it would smooth.
     if spline_weight > 0.0:
         affine = posterior(columns, points.image, order, weights, np.zeros((1, len(shrunk))),
@@ -321,6 +341,15 @@ def _cached_gaussian_process(measurements: Measurements,
     return GaussianProcess(points, exponents, to_image, knots, tuple(solutions), spline_weight)
 
 
+def _solutions_of(grid: Posterior, lengths: tuple[float, float] | None, whitening: FloatArray,
+                  weight: float = 1.0) -> FieldSolutions:
+    """Return solutions with their evidence, by what is believed of the lengths beforehand."""
+    # Each pair of lengths shares its probability among the scales that are tried with it.
+    prior = _prior_probability(lengths) * weight
+    return FieldSolutions(grid, grid.cells.log_evidence + np.log(prior / len(grid.scales)), lengths,
+                          whitening)
+
+
 def _spline_weight(points: int) -> float:
     """Return how far a spline is a course of its own for so many points in a plane, 1 to 0."""
     # From certain at SPLINE_SURE_POINTS to none at SPLINE_MAX_POINTS, in a straight line.
@@ -328,11 +357,12 @@ def _spline_weight(points: int) -> float:
     return float(np.clip(share, 0.0, 1.0))
 
 
-def _scales_with_field(shrunk: IntArray, knots: int) -> FloatArray:
+def _scales_with_field(exponents: Exponents, knots: int) -> FloatArray:
     """Return scales of shrunken coefficients (k, 3) and of a field's knots, shape (g, k + knots).
 
     Every fall with every ratio; the columns of the field share one scale.
     """
+    shrunk = np.array(exponents)
     order = shrunk.sum(axis=1)
     scales = []
     for fall in FIELD_FALLS:

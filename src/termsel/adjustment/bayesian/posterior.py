@@ -5,11 +5,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
 
+from termsel.adjustment.bayesian.bidiagonal import eliminate, evidence_of
 from termsel.adjustment.bayesian.held_out import (
     AxisErrors,
     HeldOutPredictions,
@@ -24,7 +26,7 @@ from termsel.adjustment.bayesian.shrinkage import (
     AxisSolutions,
     Design,
     PointSelection,
-    design_of,
+    designs_of,
     shrinkage_of,
 )
 from termsel.data.features import FloatArray, IntArray
@@ -76,13 +78,18 @@ class AxisEvidence:
     square: FloatArray  # (g s,)
 
 
-def scales_of(exponents: FloatArray, draws: int | None = None) -> FloatArray:
+def scales_of(exponents: IntArray, draws: int | None = None) -> FloatArray:
     """Return standard deviations of the shrunken coefficients for size 1, shape (g, k).
 
     Of the coefficient of X^a Y^b Z^c it is fall^(a + b + c - 2) relief^c: for each fall and relief
     of the grid as it is, then each with factors of single terms, `draws` in all.
     """
-    draws = N_DRAWS if draws is None else draws
+    return _scales_of(tuple(map(tuple, exponents.tolist())), N_DRAWS if draws is None else draws)
+
+
+@lru_cache(maxsize=32)  # a prior is the same for all data
+def _scales_of(exponents_of_terms: Exponents, draws: int) -> FloatArray:
+    exponents = np.array(exponents_of_terms)
     order = exponents.sum(axis=1)
     height = exponents[:, 2]
     reliefs = RELIEFS if height.any() else (1.0,)
@@ -92,9 +99,11 @@ def scales_of(exponents: FloatArray, draws: int | None = None) -> FloatArray:
         for relief in reliefs:
             rules.append(fall ** (order - 2.0) * relief ** height)
     rule = np.array(rules)
-    rng = np.random.default_rng(0)  # a prior is the same for all data
+    rng = np.random.default_rng(0)
     factors = np.exp(DRAW_DEVIATION * rng.standard_normal((draws // len(rule), *rule.shape)))
-    return np.concatenate([rule, (rule * factors).reshape(-1, rule.shape[1])])
+    scales = np.concatenate([rule, (rule * factors).reshape(-1, rule.shape[1])])
+    scales.setflags(write=False)
+    return scales
 
 
 def log_prior_of_sizes() -> FloatArray:
@@ -109,59 +118,90 @@ def log_prior_of_sizes() -> FloatArray:
     return np.asarray(logs)
 
 
-def _axis_evidence(design: Design, targets: FloatArray) -> list[AxisEvidence]:
-    """Return how likely the solutions of each axis are, for all scales and sizes."""
-    projections = design.basis.T @ targets
-    by_size = (_evidence_of_shared(design, projections)
-               or _evidence_of_groups(design, projections))
-    log_factor, squares = by_size
-    log_factor = (log_factor + log_prior_of_sizes()).ravel()
-    # What no column explains is in the sum of squares of every solution.
-    unexplained_squares = (design.unexplained_part(targets) ** 2).sum(axis=0)
-    return [AxisEvidence(log_factor, unexplained + square.ravel())
-            for unexplained, square in zip(unexplained_squares, squares, strict=True)]
-
-
-def _evidence_of_groups(design: Design, projections: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return log factors, shape (g, s), and sums of squares, shape (a, g, s), in the basis."""
-    u, values, _ = design.decomposed(np.arange(len(design.scales)))
-    # The solution of size s leaves 1 / (1 + (s S)^2) along a direction with singular value S; the
-    # determinant of the prior covariance is the product of these.
-    shrink = 1.0 / (1.0 + (PRIOR_SIZES[:, None] * values[:, None, :]) ** 2)           # (g, s, m)
-    squares = shrink @ (u.swapaxes(1, 2) @ projections) ** 2
-    return 0.5 * np.log(shrink).sum(axis=2), np.moveaxis(squares, 2, 0)
-
-
-def _evidence_of_shared(design: Design,
-                        projections: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-    """Return the same by one decomposition for all groups, that of the columns of one scale.
-
-    With W what a size leaves along it, and the few other columns C by their scales, a sum of
-    squares is y'W y - y'W C (I + C'W C)^-1 C'W y. None without such columns, and where rounding
-    errors matter: where hardly anything remains of a difference.
+def _axis_evidence(designs: Sequence[Design], targets: FloatArray) -> list[list[AxisEvidence]]:
+    """Return how likely the solutions of each axis are, for all scales and sizes, of each design.
     """
-    n_own = design.n_own
-    if n_own == design.shrunken.shape[1]:
-        return None
-    scale_of_group = design.scales[:, n_own].tolist()
-    ratios = np.array(sorted(set(scale_of_group)))  # np.unique takes longer for few
-    group = np.searchsorted(ratios, scale_of_group)
-    u, values, _ = design.shared_decomposition
-    rotated = u.T @ np.concatenate([design.shrunken[:, :n_own], projections], axis=1)
-    # (r, s, m)
-    shrink = 1.0 / (1.0 + ((PRIOR_SIZES * ratios[:, None])[:, :, None] * values) ** 2)
-    gram = (rotated.T @ (shrink[..., None] * rotated))[group]
-    scale = np.ones((len(group), len(PRIOR_SIZES), rotated.shape[1]))
-    scale[..., :n_own] = PRIOR_SIZES[:, None] * design.scales[:, None, :n_own]
-    # The last rows are L^-1 C'W y; of the ones that are added, those of the targets are not used.
-    root = np.linalg.cholesky(np.eye(rotated.shape[1]) + gram * scale[..., None]
-                              * scale[..., None, :])
-    common_squares = np.diagonal(gram, axis1=2, axis2=3)[..., n_own:]
-    squares = common_squares - (root[..., n_own:, :n_own] ** 2).sum(axis=3)
-    if (squares <= CANCELLATION * common_squares).any():
-        return None
-    logs = np.log(np.diagonal(root, axis1=2, axis2=3)[..., :n_own]).sum(axis=2)
-    return 0.5 * np.log(shrink).sum(axis=2)[group] - logs, np.moveaxis(squares, 2, 0)
+    projections = np.array([design.basis.T @ targets for design in designs])          # (d, m, a)
+    log_prior = log_prior_of_sizes()
+    evidence = []
+    for design, projected, shared in zip(designs, projections,
+                                         _evidence_of_shared(designs, projections), strict=True):
+        log_factor, squares = shared or evidence_of(design.forms, projected, PRIOR_SIZES)
+        log_factor = (log_factor + log_prior).ravel()
+        # What no column explains is in the sum of squares of every solution.
+        unexplained_squares = (design.unexplained_part(targets) ** 2).sum(axis=0)
+        evidence.append([AxisEvidence(log_factor, unexplained + square.ravel())
+                         for unexplained, square in zip(unexplained_squares, squares, strict=True)])
+    return evidence
+
+
+def _evidence_of_shared(designs: Sequence[Design], projections: FloatArray,
+                        ) -> list[tuple[FloatArray, FloatArray] | None]:
+    """Return log factors, (g, s), and sums of squares, (a, g, s), in the basis of each design.
+
+    By one decomposition for all groups, that of the columns of one scale. With W what a size leaves
+    along it, and the few other columns C by their scales, a sum of squares is
+    y'W y - y'W C (I + C'W C)^-1 C'W y. None without such columns, and where rounding errors matter:
+    where hardly anything remains of a difference.
+    """
+    decompositions = [design.shared_decomposition for design in designs
+                      if design.shared_decomposition is not None]
+    if not decompositions:
+        return [None] * len(designs)
+    first = designs[0]
+    n_own = first.n_own
+    groups = len(first.scales)
+    scales = _shared_scales(first.scales[:, :n_own + 1].tobytes(), PRIOR_SIZES.tobytes(), n_own,
+                            projections.shape[2])
+    u, values = (np.array(factors) for factors in zip(*decompositions, strict=True))
+    own = np.array([design.shrunken[:, :n_own] for design in designs])
+    rotated = u.swapaxes(1, 2) @ np.concatenate([own, projections], axis=2)
+    rows, columns = scales.pairs
+    shrink = 1.0 / (1.0 + np.multiply.outer(values, scales.shared) ** 2)             # (d, m, r)
+    grams = (rotated[..., rows] * rotated[..., columns]).swapaxes(1, 2) @ shrink     # (d, p, r)
+    # I + C'W C with rows of y'W C and y'W y, of all groups and sizes.
+    systems = grams.take(scales.number, axis=2)
+    common_squares = systems[:, scales.target_pairs]
+    systems *= scales.products
+    systems[:, scales.diagonal_pairs] += 1.0
+    for system in systems:
+        eliminate(system, n_own)
+    squares = systems[:, scales.target_pairs]
+    is_exact = (squares > CANCELLATION * common_squares).all(axis=(1, 2))
+    # The roots of the pivots are the diagonal of L, I + C'W C = L L'.
+    logs = 0.5 * (np.log(shrink).sum(axis=1).take(scales.number, axis=1)
+                  - np.log(systems[:, scales.diagonal_pairs]).sum(axis=1))
+    return [(log.reshape(groups, -1), square.reshape(len(square), groups, -1)) if exact else None
+            for log, square, exact in zip(logs, squares, is_exact, strict=True)]
+
+
+@dataclass(frozen=True, eq=False)
+class _SharedScales:
+    """Scales of columns by size, of designs that have but few columns with scales of their own.
+
+    Groups and sizes are l pairs, those of one group one after the other.
+    """
+
+    shared: FloatArray  # (r,): different scales of the other columns
+    number: IntArray  # (l,): which of these a group and size has
+    pairs: tuple[IntArray, IntArray]  # (p,): rows and columns of a lower triangle, row by row
+    products: FloatArray  # (p, l): of the scales of both
+    diagonal_pairs: IntArray  # which pairs are the diagonal of the own columns
+    target_pairs: IntArray  # and which that of the targets
+
+
+@lru_cache(maxsize=16)  # a prior is the same for all data
+def _shared_scales(scales: bytes, sizes: bytes, n_own: int, targets: int) -> _SharedScales:
+    """Return scales by size, of groups with scales of the own columns and one of all others."""
+    scales_of_groups = np.frombuffer(scales).reshape(-1, n_own + 1)
+    by_size = (np.frombuffer(sizes)[:, None] * scales_of_groups[:, None]).reshape(-1, n_own + 1)
+    shared, number = np.unique(by_size[:, n_own], return_inverse=True)
+    columns = np.concatenate([by_size[:, :n_own], np.ones((len(by_size), targets))], axis=1).T
+    rows_of_pairs, columns_of_pairs = np.tril_indices(n_own + targets)
+    diagonal = np.flatnonzero(rows_of_pairs == columns_of_pairs)
+    return _SharedScales(shared, number, (rows_of_pairs, columns_of_pairs),
+                         columns[rows_of_pairs] * columns[columns_of_pairs],
+                         diagonal[:n_own], diagonal[n_own:])
 
 
 @dataclass(frozen=True, eq=False)
@@ -311,34 +351,53 @@ class Posterior:
 
 
 def posterior(columns: FloatArray, image: FloatArray, order: IntArray, weights: FloatArray | None,
-              scales: FloatArray, in_use: int, n_own: int | None = None, *,
-              affine: bool = False) -> Posterior | None:
+              scales: FloatArray, in_use: int, *, affine: bool = False) -> Posterior | None:
     """Return all solutions for points; None if all but any one do not determine the affine terms.
 
     The columns (n, k) are monomials of the scaled ground positions, affine ones first, of some
     order (k,). The image is (n, 2); the equations are multiplied by the weights (n, 2), if any. The
     scales (g, j) are as `scales_of` gives them. The first `in_use` points are those whose weight
-    matters. After the first few shrunken columns all have one scale in each group; by default none
-    have. `affine` is whether the image may be affine, which a test for blunders must not rely on.
+    matters. `affine` is whether the image may be affine, which a test for blunders must not rely
+    on.
     """
-    freedom = 2 * (in_use - int((order < 2).sum()))
-    noise = 2 * in_use * (NO_NOISE * float(np.ptp(image, axis=0).max()) / 2) ** 2
-    n_own = scales.shape[1] if n_own is None else n_own
-    # Line and sample have one design unless their weights differ.
-    equal_weights = weights is None or (weights[:, 0] == weights[:, 1]).all()
-    of_line = design_of(columns if weights is None else columns * weights[:, :1], order < 2, scales,
-                        n_own)
-    of_sample = of_line if weights is None or equal_weights else design_of(
-        columns * weights[:, 1:], order < 2, scales, n_own)
-    if of_line is None or of_sample is None or freedom < 4:
+    free = order < 2
+    solutions = posteriors(columns[:, free], columns[None, :, ~free], image, weights, scales,
+                           scales.shape[1], in_use=in_use, affine=affine)
+    return None if solutions is None else solutions[0]
+
+
+def posteriors(lead: FloatArray, shrunken: FloatArray, image: FloatArray,
+               weights: FloatArray | None, scales: FloatArray, n_own: int, *,
+               in_use: int | None = None, affine: bool = False) -> list[Posterior] | None:
+    """Return all solutions as `posterior` does, for d systems with the same free columns (n, f).
+
+    The shrunken columns are (d, n, k). After the first few, which may be all, each system has one
+    scale for all others in a group.
+    """
+    in_use = len(lead) if in_use is None else in_use
+    freedom = 2 * (in_use - lead.shape[1])
+    if freedom < 4:
         return None
+    noise = 2 * in_use * (NO_NOISE * float(np.ptp(image, axis=0).max()) / 2) ** 2
+    designs = []
+    # Line and sample have one design unless their weights differ.
+    for w in [None] if weights is None else weights.T[:1 + (weights[:, 0] != weights[:, 1]).any()]:
+        of_axis = designs_of(lead, shrunken, scales, n_own) if w is None else designs_of(
+            lead * w[:, None], shrunken * w[:, None], scales, n_own)
+        if of_axis is None:
+            return None
+        designs.append(of_axis)
     targets = image if weights is None else image * weights
-    line, sample = _axis_evidence(of_line, targets) if of_line is of_sample else (
-        _axis_evidence(of_line, targets[:, :1]) + _axis_evidence(of_sample, targets[:, 1:]))
-    return Posterior(evidence=(line, sample),
-                     cells=_cells(line, sample, freedom, noise, affine=affine), freedom=freedom,
-                     noise=noise, designs=(of_line, of_sample), scales=scales, targets=targets,
-                     in_use=in_use)
+    evidence = _axis_evidence(designs[0], targets)
+    if len(designs) > 1:
+        evidence = [[line[0], sample[1]] for line, sample in zip(
+            evidence, _axis_evidence(designs[1], targets), strict=True)]
+    return [Posterior(evidence=(line, sample),
+                      cells=_cells(line, sample, freedom, noise, affine=affine), freedom=freedom,
+                      noise=noise, designs=(of_line, of_sample), scales=scales, targets=targets,
+                      in_use=in_use)
+            for (line, sample), of_line, of_sample in zip(evidence, designs[0], designs[-1],
+                                                          strict=True)]
 
 
 def polynomial_posterior(ground: FloatArray, image: FloatArray, exponents: Exponents,

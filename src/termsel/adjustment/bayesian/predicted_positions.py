@@ -13,6 +13,7 @@ and the variance of the predictions: a quadratic form in q and w again.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -39,9 +40,7 @@ def predict_positions(posterior: Posterior, free: FloatArray, shrunken: FloatArr
     The columns there are (m, f) of those that are not shrunken, and (m, k) of the others. Of what
     no column spans comes the variance for size 1, (g, m), for each group of scales.
     """
-    # The expectation of the noise's variance, which is inverse gamma distributed.
-    noises = posterior.square / (posterior.freedom - 2)
-    noise = float(posterior.cells.share @ noises)
+    noise = float(posterior.cells.share @ _noises(posterior))
     count = free.shape[1] + shrunken.shape[1]
     image, variance = np.zeros((2, len(free), 2))
     factors = np.zeros((len(free), 2, 2 * count))
@@ -51,8 +50,7 @@ def predict_positions(posterior: Posterior, free: FloatArray, shrunken: FloatArr
         free_reduced = np.linalg.solve(design.lead.T, free.T).T
         # W; `free_reduced` is q.
         shrunken_reduced = shrunken - free_reduced @ design.free_projections
-        weight = _noise_of_solutions(posterior, axis, noises)
-        mean, root = _coefficient_moments(posterior, axis, weight)
+        weight, mean, root = _coefficient_moments(posterior, axis)
         image[:, axis] = free_reduced @ solutions.free + shrunken_reduced @ mean
         factors[:, axis, axis * count:(axis + 1) * count] = np.concatenate(
             [free_reduced * np.sqrt(noise), shrunken_reduced @ root], axis=1)
@@ -61,17 +59,29 @@ def predict_positions(posterior: Posterior, free: FloatArray, shrunken: FloatArr
     return PredictedPositions(image, variance + (factors**2).sum(axis=2), factors, noise)
 
 
-def _noise_of_solutions(posterior: Posterior, axis: int, noises: FloatArray) -> FloatArray:
+def _noises(posterior: Posterior) -> FloatArray:
+    """Return the expected variance of the noise, which is inverse gamma distributed, (c,)."""
+    return np.asarray(posterior.square / (posterior.freedom - 2))
+
+
+def _noise_of_solutions(posterior: Posterior, axis: int) -> FloatArray:
     """Return the noise of each solution of an axis by its probability, shape (g, s)."""
+    noises = _noises(posterior)
     solution_of_cell = posterior.cells.solutions[axis]
     count = len(posterior.evidence[axis].square)
     return np.asarray(np.bincount(solution_of_cell, posterior.cells.share * noises, count),
                       dtype=np.float64).reshape(len(posterior.scales), -1)
 
 
-def _coefficient_moments(posterior: Posterior, axis: int,
-                         weight: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return mean and root of the covariance of the shrunken coefficients, (k,) and (k, k)."""
+@lru_cache(maxsize=32)  # places come in batches
+def _coefficient_moments(posterior: Posterior,
+                         axis: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return moments of the shrunken coefficients of an axis.
+
+    The noise of each solution by its probability, (g, s), and mean and root of the covariance of
+    the coefficients, (k,) and (k, k).
+    """
+    weight = _noise_of_solutions(posterior, axis)
     solutions = posterior.solutions[axis]
     design = posterior.designs[axis]
     k = posterior.scales.shape[1]
@@ -82,7 +92,7 @@ def _coefficient_moments(posterior: Posterior, axis: int,
     deviations = solutions.coefficients - mean
     covariance = (deviations * share[:, None]).T @ deviations
     groups = np.flatnonzero(weight.any(axis=1))  # the others are not decomposed for this
-    _, values, vt = design.decomposed(groups)
+    values, vt = design.decomposed(groups)
     shrink = PRIOR_SIZES[:, None] ** 2 / (1.0 + (PRIOR_SIZES[:, None] * values[:, None, :]) ** 2)
     explained_weight = np.einsum("gs,gsp->gp", weight[groups], shrink)
     prior_weight = weight @ PRIOR_SIZES**2
@@ -93,4 +103,4 @@ def _coefficient_moments(posterior: Posterior, axis: int,
             covariance += prior_weight[g] * (np.diag(posterior.scales[g] ** 2) - scaled.T @ scaled)
     # Cholesky's method would fail where coefficients are known but for rounding.
     spread, vectors = np.linalg.eigh(covariance)
-    return mean, vectors * np.sqrt(np.maximum(spread, 0.0))
+    return weight, mean, vectors * np.sqrt(np.maximum(spread, 0.0))

@@ -1,8 +1,8 @@
 """Solutions of least squares with shrunken columns, for many scales and sizes at once.
 
-With the free columns taken out, and the others multiplied by their scales, U S V' is the singular
-value decomposition of what remains. The solution of a size s leaves 1 / (1 + (s S)^2) of what is
-measured along each column of U. A group is one set of scales, a solution a group and a size.
+With the free columns taken out, and the others multiplied by their scales, M is what remains. The
+solution of a size s leaves (I + s^2 M M')^-1 of what is measured. A group is one set of scales, a
+solution a group and a size.
 """
 
 from __future__ import annotations
@@ -13,9 +13,10 @@ from functools import cached_property
 
 import numpy as np
 
+from termsel.adjustment.bayesian.bidiagonal import Bidiagonal, BidiagonalSolutions, bidiagonal
 from termsel.adjustment.orthogonal import orthogonal
 from termsel.adjustment.solve import TOLERANCE
-from termsel.data.features import BoolArray, FloatArray, IntArray
+from termsel.data.features import FloatArray, IntArray
 
 PointSelection = slice | IntArray
 """Which points."""
@@ -25,11 +26,6 @@ MIN_REDUNDANCY = 1e-14
 
 CANCELLATION = 1e-8
 """What remains of a number where rounding errors of a difference matter."""
-
-NUMBERS_AT_ONCE = 1 << 16
-"""Numbers of several groups that are worked on together: fewer calls, as long as a cache holds
-them."""
-
 
 @dataclass(frozen=True, eq=False)
 class Design:
@@ -43,15 +39,9 @@ class Design:
     lead: FloatArray  # (f, f): triangle of the free columns
     free_projections: FloatArray  # (f, k): what the shrunken columns have in common with them
     n_own: int  # shrunken columns after which all have one scale in each group
-
-    @cached_property
-    def shared_decomposition(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """U, shape (m, m), S, shape (m,), and S V' of all shrunken columns but the first few, bare.
-        """
-        # U is complete: the few columns are not within the span of the others.
-        shared = self.shrunken[:, self.n_own:]
-        values, u = np.linalg.eigh(shared @ shared.T)
-        return u, np.sqrt(np.maximum(values, 0.0)), u.T @ shared
+    # U, shape (m, m), and S, shape (m,), of all shrunken columns but the first few, bare; U is
+    # complete: the few columns are not within the span of the others. None where there are none.
+    shared_decomposition: tuple[FloatArray, FloatArray] | None = None
 
     @cached_property
     def unexplained_share(self) -> FloatArray:
@@ -61,27 +51,15 @@ class Design:
         return np.asarray(np.maximum(1.0 - (self.explained**2).sum(axis=1), 0.0))
 
     @cached_property
-    def _decompositions(self) -> tuple[BoolArray, FloatArray, FloatArray, FloatArray]:
-        """Of which groups the decompositions are known, and these."""
-        (count, k) = self.scales.shape
-        m = len(self.shrunken)
-        return (np.zeros(count, dtype=bool), np.empty((count, m, m)), np.empty((count, m)),
-                np.empty((count, m, k)))
+    def forms(self) -> Bidiagonal:
+        """The bidiagonal forms of the shrunken columns under the scales of each group."""
+        return bidiagonal(self.shrunken, self.scales)
 
-    def decomposed(self, groups: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return U, S and V' of some groups; each is found once."""
-        is_decomposed, *stored = self._decompositions
-        new = groups[~is_decomposed[groups]]
-        if new.size:
-            decomposition = np.linalg.svd(self.shrunken * self.scales[new, None],
-                                          full_matrices=False)
-            for factor, new_factor in zip(stored, decomposition, strict=True):
-                factor[new] = new_factor
-            is_decomposed[new] = True
-        # All of them are the arrays that are stored, in their order.
-        u, values, vt = stored if len(groups) == len(is_decomposed) else (
-            factor[groups] for factor in stored)
-        return u, values, vt
+    def decomposed(self, groups: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Return singular values and right singular vectors of some groups."""
+        _, values, vt = np.linalg.svd(self.shrunken * self.scales[groups, None],
+                                      full_matrices=False)
+        return values, vt
 
     def unexplained_part(self, target: FloatArray) -> FloatArray:
         """Return what no column explains, apart: nothing cancels where noise tends to 0."""
@@ -90,24 +68,41 @@ class Design:
         return np.asarray(target - self.explained @ (self.explained.T @ target))
 
 
-def design_of(columns: FloatArray, free: BoolArray, scales: FloatArray,
-              n_own: int) -> Design | None:
-    """Return a design; None if all rows but any one do not determine the free columns.
+def designs_of(lead: FloatArray, shrunken: FloatArray, scales: FloatArray,
+               n_own: int) -> list[Design] | None:
+    """Return designs; None if all rows but any one do not determine the free columns.
 
-    Of the columns (n, f + k) the free ones are not shrunken; the scales are (g, k). After the first
-    few shrunken columns all have one scale in each group; few is k if there are none such.
+    They have the same free columns (n, f), which are not shrunken, and others each, (d, n, k); the
+    scales are (g, k). After the first few shrunken columns all have one scale in each group; few is
+    k if there are none such.
     """
-    lead = columns[:, free]
-    f = lead.shape[1]
-    if len(lead) <= f:
+    n, f = lead.shape
+    k = shrunken.shape[2]
+    if n <= f:
         return None
-    # Free columns first: q of the others is then without them.
-    q, r = orthogonal(columns if free[:f].all() else
-                      np.concatenate([lead, columns[:, ~free]], axis=1))
-    if (np.abs(np.diag(r))[:f] <= TOLERANCE * np.linalg.norm(lead, axis=0)).any() \
+    if n <= f + k:  # all of space is explained, whatever the shrunken columns
+        q, r = np.linalg.qr(lead, mode="complete")
+        factors = [(q, r[:f], projections) for projections in q.T @ shrunken]
+    else:  # free columns first: q of the others is then without them
+        factors = []
+        for columns in shrunken:
+            q, r = orthogonal(np.concatenate([lead, columns], axis=1))
+            factors.append((q, r[:f, :f], r[:, f:]))
+    q, triangle, _ = factors[0]
+    if (np.abs(np.diag(triangle)) <= TOLERANCE * np.linalg.norm(lead, axis=0)).any() \
             or (1.0 - (q[:, :f]**2).sum(axis=1)).min() < TOLERANCE:
         return None
-    return Design(q[:, f:], q, r[f:, f:], scales, r[:f, :f], r[:f, f:], n_own)
+    in_basis = np.array([projections[f:] for *_, projections in factors])
+    decompositions = [None] * len(factors) if n_own == k else _decomposed(in_basis[:, :, n_own:])
+    return [Design(q[:, f:], q, columns, scales, triangle, projections[:f], n_own, decomposition)
+            for (q, triangle, projections), columns, decomposition in zip(
+                factors, in_basis, decompositions, strict=True)]
+
+
+def _decomposed(columns: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+    """Return left singular vectors and singular values of columns (d, m, k)."""
+    squares, u = np.linalg.eigh(columns @ columns.swapaxes(1, 2))
+    return list(zip(u, np.sqrt(np.maximum(squares, 0.0)), strict=True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,51 +120,24 @@ class AxisSolutions:
 
 
 class Shrinkage:
-    """What solutions do, whatever is measured, by one decomposition for each group.
+    """What solutions do, whatever is measured, by one bidiagonal form for each group.
 
     Group and size (u,) are numbers, of each solution, in order; `sizes` are all there are.
     """
 
     def __init__(self, design: Design, group: IntArray, size: IntArray,
                  sizes: FloatArray) -> None:
-        # As np.unique of groups in order, without sorting.
-        is_first = np.diff(group, prepend=-1) > 0
-        groups = group[is_first]
-        group_index = np.cumsum(is_first) - 1
-        first_size = int(size.min())
-        last_size = int(size.max())
-        # Where the solutions stand among all of these groups and sizes.
-        self._index = group_index * (last_size + 1 - first_size) + size - first_size
         self._design = design
-        self._scales = design.scales[groups]
-        self._u, values, self._vt = design.decomposed(groups)
-        size_column = sizes[first_size:last_size + 1, None]
-        ratio = size_column * values[:, None]                                            # (g, s, m)
-        self._shrink = 1.0 / (1.0 + ratio**2)
-        # Of s^2 S / (1 + (s S)^2), for the coefficients.
-        self._gain = size_column * ratio * self._shrink
-        self._effective = design.explained.shape[1] - self._of_solutions(self._shrink).sum(axis=1)
-
-    def _of_solutions(self, grid: FloatArray) -> FloatArray:
-        """Return the rows of the solutions, of those of all groups and sizes, shape (u, k)."""
-        count, sizes, k = grid.shape
-        return np.asarray(grid.reshape(count * sizes, k)[self._index])
+        squared_sizes = sizes[size] ** 2
+        self._solutions = BidiagonalSolutions(design.forms, group, squared_sizes)
+        # With the scales D and M = C D the coefficients are s^2 D M' (I + s^2 M M')^-1 y.
+        self._squared_scales = squared_sizes[:, None] * design.scales[group] ** 2
 
     def redundancies(self, points: PointSelection) -> FloatArray:
         """Return 1 minus the leverage of points, shape (u, n)."""
         design = self._design
-        (count, sizes, m) = self._shrink.shape
         directions = np.ascontiguousarray(design.basis[points].T)
-        n = directions.shape[1]
-        grid = np.empty((count, sizes, n))
-        # (U' basis')^2 by what each direction leaves, and what no column explains.
-        step = max(1, NUMBERS_AT_ONCE // max(n * m, 1))
-        for start in range(0, count, step):
-            batch = slice(start, start + step)
-            projections = self._u[batch].swapaxes(1, 2) @ directions
-            projections *= projections
-            np.matmul(self._shrink[batch], projections, out=grid[batch])
-        redundancies = self._of_solutions(grid)
+        redundancies = self._solutions.redundancies(directions)
         redundancies += design.unexplained_share[points]
         return np.maximum(redundancies, MIN_REDUNDANCY, out=redundancies)
 
@@ -179,15 +147,13 @@ class Shrinkage:
         `solution_of_cell` (c,) is the solution of each cell of the posterior.
         """
         design = self._design
-        projections = ((design.basis.T @ target) @ self._u)[:, None]                    # (g, 1, m)
-        fit_errors = self._of_solutions((self._shrink * projections) @ self._u.swapaxes(1, 2))
+        residuals = self._solutions.residuals(design.basis.T @ target)
         unexplained = design.unexplained_part(target)
-        coefficients = self._of_solutions(
-            (self._gain * projections) @ self._vt * self._scales[:, None])
+        coefficients = (residuals @ design.shrunken) * self._squared_scales
         return AxisSolutions(
-            solution_of_cell, self._effective, coefficients,
+            solution_of_cell, design.explained.shape[1] - self._solutions.traces, coefficients,
             design.explained[:, :len(design.lead)].T @ target, self.redundancies,
-            lambda points: np.asarray(fit_errors @ design.basis[points].T + unexplained[points]))
+            lambda points: np.asarray(residuals @ design.basis[points].T + unexplained[points]))
 
 
 class SharedShrinkage:
@@ -204,7 +170,9 @@ class SharedShrinkage:
         n_own = design.n_own
         self._design = design
         self._column_scales = sizes[size, None] * design.scales[group]
-        u, values, self._shared_vt = design.shared_decomposition
+        assert design.shared_decomposition is not None
+        u, values = design.shared_decomposition
+        self._shared_vt = u.T @ design.shrunken[:, n_own:]                              # S V'
         # (u, m).
         self._shrink = 1.0 / (1.0 + (self._column_scales[:, n_own:n_own + 1] * values) ** 2)
         # C', (u, f, m).
@@ -257,7 +225,7 @@ def shrinkage_of(design: Design, group: IntArray, size: IntArray,
 
     It takes what `Shrinkage` takes.
     """
-    if design.n_own < design.shrunken.shape[1]:
+    if design.shared_decomposition is not None:
         shared = SharedShrinkage(design, group, size, sizes)
         if shared.all_redundancies is not None:
             return shared

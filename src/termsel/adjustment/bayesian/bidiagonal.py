@@ -1,0 +1,305 @@
+"""Shrunken solutions of many sets of scales at once, without singular values.
+
+Of a matrix M = U B V', B lower bidiagonal with diagonal d and c below it, the inverse of
+I + s^2 M M' = U (I + s^2 B B') U' takes no more than B: with R upper bidiagonal and
+R'R = I + s^2 B B',
+
+    r_i^2 = s^2 d_i^2 + rest_i,    upper_i = s^2 d_i c_i / r_i,
+    rest_1 = 1,    rest_(i+1) = 1 + rest_i s^2 c_i^2 / r_i^2,
+
+nothing of which cancels. So one bidiagonal form, a fifth of the work of singular values, serves
+solutions of all sizes s. Matrices lie side by side, so that each step is one for all of them:
+sums are taken in one order whatever the width of the machine's registers.
+
+References
+----------
+Golub and Kahan 1965, SIAM J. Numer. Anal. B 2(2), for the bidiagonal form; Elden 1977, BIT 17, for
+regularised solutions by it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from termsel.adjustment.compiled import compiled
+from termsel.data.features import FloatArray, IntArray
+
+ROWS_PER_LOG = 8
+"""Rows whose squares are multiplied before a logarithm is taken: they do not overflow."""
+
+POINTS_AT_ONCE = 128
+"""Points that are worked on together: what is read again stays in a cache."""
+
+# Nothing is allocated, and sums are taken in the order in which they are written.
+_compiled = partial(compiled, _nrt=False)
+
+
+@dataclass(frozen=True, eq=False)
+class Bidiagonal:
+    """The bidiagonal forms of g matrices of m rows."""
+
+    rotation: FloatArray  # (g, m, m): U'
+    diagonal: FloatArray  # (m, g)
+    below: FloatArray  # (m, g): below the diagonal, and a last number of no meaning
+
+
+def bidiagonal(matrix: FloatArray, scales: FloatArray) -> Bidiagonal:
+    """Return the bidiagonal forms of a matrix (m, k), m <= k, whose columns have scales (g, k)."""
+    m = len(matrix)
+    count = len(scales)
+    matrices = np.multiply(matrix[:, :, None], scales.T, order="C")
+    rotation = np.zeros((m, m, count))
+    rotation[np.arange(m), np.arange(m)] = 1.0
+    diagonal, below = np.zeros((2, m, count))
+    _bidiagonalise(matrices, rotation, diagonal, below, np.empty((2, count)))
+    return Bidiagonal(np.ascontiguousarray(rotation.transpose(2, 1, 0)), diagonal, below)
+
+
+def evidence_of(forms: Bidiagonal, targets: FloatArray,
+                sizes: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return log factors, (g, s), and sums of squares, (a, g, s), of the solutions of all sizes.
+
+    The logarithm is that of |I + s^2 M M'|^-1/2, the sum y' (I + s^2 M M')^-1 y of targets (m, a).
+    """
+    _, count = forms.diagonal.shape
+    along = np.ascontiguousarray((forms.rotation @ targets).transpose(2, 1, 0))       # (a, m, g)
+    logs = np.zeros((len(sizes), count))
+    squares = np.zeros((len(sizes), len(along), count))
+    _add_evidence(forms.diagonal, forms.below, along, sizes**2, logs, squares,
+                  np.empty((4, count)), np.empty((len(along), count)))
+    return logs.T, squares.transpose(1, 2, 0)
+
+
+class BidiagonalSolutions:
+    """What u solutions leave, each with a form and the square of a size, (u,)."""
+
+    def __init__(self, forms: Bidiagonal, form: IntArray, squared_sizes: FloatArray) -> None:
+        self._rotation = forms.rotation
+        self._form = form
+        diagonal = forms.diagonal[:, form]
+        self._root, self._upper = np.empty((2, *diagonal.shape))
+        self.traces = np.zeros(len(form))  # of (I + s^2 M M')^-1
+        _fill_factors(diagonal, forms.below[:, form], squared_sizes, self._root, self._upper,
+                      self.traces, np.empty(len(form)))
+
+    def residuals(self, target: FloatArray) -> FloatArray:
+        """Return what the solutions leave of a target (m,), shape (u, m)."""
+        along = (self._rotation @ target).T.take(self._form, axis=1)                    # (m, u)
+        residuals = np.zeros((len(self._form), len(target)))
+        _add_residuals(self._root, self._upper, along, self._rotation, self._form, residuals)
+        return residuals
+
+    def redundancies(self, directions: FloatArray) -> FloatArray:
+        """Return b' (I + s^2 M M')^-1 b of directions b, (m, n), shape (u, n)."""
+        n = directions.shape[1]
+        redundancies = np.empty((len(self._form), n))
+        for start in range(0, n, POINTS_AT_ONCE):
+            part = slice(start, min(start + POINTS_AT_ONCE, n))
+            along = self._rotation @ directions[:, part]
+            squares = np.zeros((len(self._form), along.shape[2]))
+            _add_redundancies(self._root, self._upper, along, self._form, squares,
+                              np.empty(along.shape[2]))
+            redundancies[:, part] = squares
+        return redundancies
+
+
+@_compiled
+def eliminate(systems: FloatArray, count: int) -> None:
+    """Eliminate the first rows of l symmetric matrices, (p, l): lower triangles, row by row.
+
+    In place: on the diagonal stand the pivots, and behind these rows what is left of the others.
+    """
+    size = 0
+    while size * (size + 1) // 2 < len(systems):
+        size += 1
+    for j in range(count):
+        pivot = systems[j * (j + 1) // 2 + j]
+        for i in range(size - 1, j, -1):
+            factor = systems[i * (i + 1) // 2 + j]
+            for lane in range(len(pivot)):
+                factor[lane] /= pivot[lane]
+            # Columns up to the diagonal: of the rows above, the entries are not divided yet.
+            for k in range(j + 1, i):
+                _subtract_products(factor, systems[k * (k + 1) // 2 + j],
+                                   systems[i * (i + 1) // 2 + k])
+            target = systems[i * (i + 1) // 2 + i]
+            for lane in range(len(pivot)):
+                target[lane] -= factor[lane] * factor[lane] * pivot[lane]
+
+
+@_compiled
+def _subtract_products(x: FloatArray, y: FloatArray, target: FloatArray) -> None:
+    for lane in range(len(target)):
+        target[lane] -= x[lane] * y[lane]
+
+
+@_compiled
+def _sum_squares(rows: FloatArray, first: int, step: int, count: int, total: FloatArray) -> None:
+    """Sum the squares of some rows (., g)."""
+    total[:] = 0.0
+    for i in range(count):
+        x = rows[first + i * step]
+        for lane in range(len(total)):
+            total[lane] += x[lane] * x[lane]
+
+
+@_compiled
+def _reflect(vectors: FloatArray, first: int, step: int, factor: FloatArray, rows: FloatArray,
+             first_row: int, row_step: int, count: int, total: FloatArray) -> None:
+    """Apply reflections I - factor v v' to some rows (., g); v are rows of `vectors`."""
+    total[:] = 0.0
+    for i in range(count):
+        v = vectors[first + i * step]
+        row = rows[first_row + i * row_step]
+        for lane in range(len(total)):
+            total[lane] += v[lane] * row[lane]
+    for lane in range(len(total)):
+        total[lane] *= factor[lane]
+    for i in range(count):
+        v = vectors[first + i * step]
+        row = rows[first_row + i * row_step]
+        for lane in range(len(total)):
+            row[lane] -= total[lane] * v[lane]
+
+
+@_compiled
+def _make_reflection(head: FloatArray, squares: FloatArray, factor: FloatArray,
+                     image: FloatArray) -> None:
+    """Turn the head of vectors into that of the vectors v of reflections I - factor v v'.
+
+    They bring the vectors, of which the sums of squares are known, into their first direction,
+    where `image` is all that is left of them. The sign is such that nothing cancels.
+    """
+    for lane in range(len(head)):
+        length = np.sqrt(squares[lane])
+        image[lane] = -length if head[lane] > 0.0 else length
+        head[lane] -= image[lane]
+        factor[lane] = -1.0 / (image[lane] * head[lane]) if length > 0.0 else 0.0
+
+
+@_compiled
+def _bidiagonalise(matrices: FloatArray, rotation: FloatArray, diagonal: FloatArray,
+                   below: FloatArray, work: FloatArray) -> None:
+    """Bring matrices (m, k, g) into bidiagonal form; U' is applied to columns (c, m, g).
+
+    Reflections of columns and of rows alternate, and keep each other's zeros.
+    """
+    m, k, lanes = matrices.shape
+    entries = matrices.reshape(m * k, lanes)  # row by row
+    turned = rotation.reshape(len(rotation) * m, lanes)
+    factor, total = work
+    for i in range(m):
+        head = i * k + i
+        _sum_squares(entries, head, 1, k - i, total)
+        _make_reflection(entries[head], total, factor, diagonal[i])
+        for row in range(i + 1, m):
+            _reflect(entries, head, 1, factor, entries, row * k + i, 1, k - i, total)
+        if i + 1 == m:
+            break
+        head += k
+        rows = m - i - 1
+        _sum_squares(entries, head, k, rows, total)
+        _make_reflection(entries[head], total, factor, below[i])
+        for column in range(i + 1, k):
+            _reflect(entries, head, k, factor, entries, (i + 1) * k + column, k, rows, total)
+        for column in range(len(rotation)):
+            _reflect(entries, head, k, factor, turned, column * m + i + 1, 1, rows, total)
+
+
+@_compiled
+def _add_evidence(diagonal: FloatArray, below: FloatArray, along: FloatArray,
+                  squared_sizes: FloatArray, logs: FloatArray, squares: FloatArray,
+                  work: FloatArray, solved: FloatArray) -> None:
+    """Add logarithms, (s, g), and sums of squares, (s, a, g), of forms (m, g)."""
+    m, count = diagonal.shape
+    rest, root, upper, product = work
+    for size in range(len(squared_sizes)):
+        square = squared_sizes[size]
+        rest[:] = 1.0
+        upper[:] = 0.0
+        product[:] = 1.0
+        solved[:] = 0.0
+        for i in range(m):
+            for g in range(count):
+                along_diagonal = square * diagonal[i, g] * diagonal[i, g]
+                product[g] *= along_diagonal + rest[g]
+                root[g] = np.sqrt(along_diagonal + rest[g])
+            # R'z = U'y, one row after the other.
+            for axis in range(len(along)):
+                z = solved[axis]
+                y = along[axis, i]
+                total = squares[size, axis]
+                for g in range(count):
+                    z[g] = (y[g] - upper[g] * z[g]) / root[g]
+                    total[g] += z[g] * z[g]
+            for g in range(count):
+                ratio = below[i, g] / root[g]
+                upper[g] = square * diagonal[i, g] * ratio
+                rest[g] = 1.0 + rest[g] * square * ratio * ratio
+            if (i + 1) % ROWS_PER_LOG == 0 or i + 1 == m:
+                for g in range(count):
+                    logs[size, g] -= 0.5 * np.log(product[g])
+                product[:] = 1.0
+
+
+@_compiled
+def _fill_factors(diagonal: FloatArray, below: FloatArray, squared_sizes: FloatArray,
+                  root: FloatArray, upper: FloatArray, traces: FloatArray,
+                  rest: FloatArray) -> None:
+    """Fill in R, (m, u), and the traces of the inverses of R'R, (u,)."""
+    m, count = diagonal.shape
+    rest[:] = 1.0
+    for i in range(m):
+        for u in range(count):
+            along_diagonal = squared_sizes[u] * diagonal[i, u]
+            root[i, u] = np.sqrt(along_diagonal * diagonal[i, u] + rest[u])
+            ratio = below[i, u] / root[i, u]
+            upper[i, u] = along_diagonal * ratio
+            rest[u] = 1.0 + rest[u] * squared_sizes[u] * ratio * ratio
+    # A row of R^-1 is (unit vector - upper_i row below) / r_i, so that the square of its length,
+    # which the trace sums, is (1 + upper_i^2 that of the row below) / r_i^2.
+    rest[:] = 0.0
+    for i in range(m - 1, -1, -1):
+        for u in range(count):
+            next_square = upper[i, u] * upper[i, u] * rest[u] if i + 1 < m else 0.0
+            rest[u] = (1.0 + next_square) / (root[i, u] * root[i, u])
+            traces[u] += rest[u]
+
+
+@_compiled
+def _add_residuals(root: FloatArray, upper: FloatArray, along: FloatArray, rotation: FloatArray,
+                   form: IntArray, residuals: FloatArray) -> None:
+    """Add U w, R'R w = U'y; U'y, (m, u), is overwritten by w."""
+    m, count = root.shape
+    for i in range(m):
+        for u in range(count):
+            known = upper[i - 1, u] * along[i - 1, u] if i > 0 else 0.0
+            along[i, u] = (along[i, u] - known) / root[i, u]
+    for i in range(m - 1, -1, -1):
+        for u in range(count):
+            known = upper[i, u] * along[i + 1, u] if i + 1 < m else 0.0
+            along[i, u] = (along[i, u] - known) / root[i, u]
+    for u in range(count):
+        for i in range(m):
+            for c in range(m):
+                residuals[u, c] += along[i, u] * rotation[form[u], i, c]
+
+
+@_compiled
+def _add_redundancies(root: FloatArray, upper: FloatArray, along: FloatArray, form: IntArray,
+                      redundancies: FloatArray, z: FloatArray) -> None:
+    """Add the squares of z, R'z = U'b, of b (g, m, n)."""
+    m = len(root)
+    for u in range(len(form)):
+        total = redundancies[u]
+        z[:] = 0.0
+        for i in range(m):
+            inverse = 1.0 / root[i, u]
+            factor = upper[i - 1, u] if i > 0 else 0.0
+            y = along[form[u], i]
+            for point in range(len(z)):
+                z[point] = (y[point] - factor * z[point]) * inverse
+                total[point] += z[point] * z[point]
