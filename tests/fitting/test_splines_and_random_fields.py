@@ -248,13 +248,17 @@ def test_one_decomposition_for_all_scales_gives_what_one_for_each_does(
                               np.random.default_rng(1).normal(size=(n, 30))], axis=1)
     image = columns @ np.random.default_rng(2).normal(size=(36, 2)) \
         + noise * np.random.default_rng(3).normal(size=(n, 2))
-    order = np.array([0, 1, 1, 2, 2, 2, *[3] * 30])
     scales = np.array([[*rule, *[ratio] * 30] for rule in ((1.0, 0.3, 0.1), (1.0, 1.0, 1.0))
                        for ratio in (0.02, 2.0)])
-    found, expected = (posterior.posterior(columns, image, order, None, scales, n, few)
-                       for few in (3, None))
-    assert found is not None
-    assert expected is not None
+    others = columns.copy()
+    others[:, 6:] *= 2.0
+    stack = np.array([others, columns])[:, :, 3:]
+    by_one = posterior.posteriors(columns[:, :3], stack, image, None, scales, 3)
+    by_each = posterior.posteriors(columns[:, :3], stack, image, None, scales, 33)
+    assert by_one is not None
+    assert by_each is not None
+    found = by_one[1]
+    expected = by_each[1]
     for one, other in zip(found.evidence, expected.evidence, strict=True):
         np.testing.assert_allclose(one.log_factor, other.log_factor, atol=1e-8)
         np.testing.assert_allclose(one.square, other.square, rtol=near)
