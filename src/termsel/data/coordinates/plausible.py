@@ -10,6 +10,8 @@ from termsel.data.features import BoolArray, FeatureSet, FloatArray
 
 _NEAR = 1000.0  # metres from the origin of a CRS
 _DEGREES = ((-180.0, -90.0), (360.0, 90.0))
+_WITH_ZONE = {31: "EPSG:5649", 32: "EPSG:4647", 33: "EPSG:5650"}  # zE-N
+_FOOT = 0.3048  # m
 # Generous: scenes reach into the next zone, and some producers keep northern zones with
 # negative northings south of the equator.
 _UTM_RANGE = {"6": ((0.0, -9.4e6), (1e6, 9.4e6)), "7": ((0.0, 0.0), (1e6, 10.5e6))}
@@ -38,7 +40,21 @@ def check_ground(features: FeatureSet) -> None:
         if utm:
             _check_range(xy, features, *_UTM_RANGE[utm[1]],
                          f"cannot be easting and northing in {crs} (UTM)",
-                         "x must be easting and y northing, in metres; check the CRS of the file.")
+                         _hint_of_utm(xy, int(crs[-2:]), *_UTM_RANGE[utm[1]]))
+
+
+def _hint_of_utm(xy: FloatArray, zone: int, low: tuple[float, float],
+                 high: tuple[float, float]) -> str:
+    """Return what may be wrong with coordinates that are outside a zone of UTM."""
+    if (xy[:, 0] // 1e6 == zone).all():
+        crs = _WITH_ZONE.get(zone)
+        stated = f", or state the CRS that has them, --crs {crs} (ETRS89)" if crs else ""
+        return f"x begins with the zone, {zone}: take these digits off{stated}."
+    feet = xy * _FOOT
+    if ((feet >= low) & (feet <= high)).all():
+        return (f"In feet they would be within the zone: state --crs '+proj=utm +zone={zone} "
+                "+datum=WGS84 +units=us-ft', or convert them to metres.")
+    return "x must be easting and y northing, in metres; check the CRS of the file."
 
 
 def _check_metres(xy: FloatArray, features: FeatureSet, crs: str) -> None:

@@ -45,27 +45,35 @@ TAKEN = frozenset(COMPUTED).union(*POINTS.values(), *LINES.values()) - {"sigma"}
 # column has one of the names above, so that a table may keep them for attributes.
 _FURTHER = {meaning: frozenset(names.split()) for meaning, names in {
     "id": "pt ptid ptno point points pointid pointname pointno pointnr pointnumber gcp gcpid gcpno "
-          "gcpname label nr no num number punkt punktid punktnr punktnummer punktname nummer "
-          "numero nom nombre punto idpunto nome ponto 点 点号 点名 编号 序号 名称 id号",
-    "line": "lines rows ypix ypixel pixely imgy imagey yimg yimage lineno zeile bildzeile ligne "
-            "rangee fila linea riga linha 行 行号 行数 行坐标",
-    "sample": "samples samp cols columns xpix xpixel pixelx pix imgx imagex ximg ximage spalte "
-              "bildspalte colonne columna muestra colonna campione coluna 列 列号 列数 列坐标",
-    "x": "e east lng long easting lange laenge langengrad laengengrad rechtswert ostwert ost "
-         "longitud longitudine este est 经度 东经 东坐标",
-    "y": "n north nord norte breite breitengrad hochwert nordwert latitud latitudine 纬度 北纬 "
-         "北坐标",
-    "z": "hohe hoehe hauteur altura altitud altitudine altezza cota quota elevazione elevacion "
-         "elevacao ellipsoidalheight ellheight 高程 高度 高 大地高 海拔"}.items()}
+          "gcpname gcplabel label nr no num number pkt pktnr punkt punktid punktnr punktnummer "
+          "punktname passpunkt nummer numer numero nom nombre punto idpunto nome ponto punt "
+          "puntnummer nazwa naam 点 点号 点名 编号 序号 名称 id号",
+    "line": "lines rows ypix ypixel pixely py imgy imagey yimg yimage lineno zeile bildzeile bildy "
+            "ligne rangee fila linea riga linha wiersz rij regel 行 行号 行数 行坐标",
+    "sample": "samples samp cols columns xpix xpixel pixelx pix px imgx imagex ximg ximage spalte "
+              "bildspalte bildx colonne columna muestra colonna campione coluna kolumna kolom "
+              "列 列号 列数 列坐标",
+    "x": "e east lng long easting pointx lange laenge langengrad laengengrad rechtswert ostwert "
+         "ost longitud longitudine este est leste xl93 dlugosc wschod lengte "
+         "lengtegraad oost 经度 东经 东坐标",
+    "y": "n north nord norte northing pointy breite breitengrad hochwert nordwert latitud "
+         "latitudine yl93 szerokosc polnoc breedte breedtegraad noord 纬度 北纬 北坐标",
+    "z": "hohe hoehe hoheunn hoheunhn hauteur altura altitud altitudine altezza cota quota "
+         "elevazione elevacion elevacao wysokosc hoogte pointz ellipsoidalheight ellheight "
+         "高程 高度 高 大地高 海拔"}.items()}
 FOREIGN = frozenset(name for name in frozenset().union(*_FURTHER.values()) if not name.isascii())
 """Names that only one encoding of Chinese text gives."""
+
+POLISH = ("wysokość", "długość", "szerokość", "północ")
+"""Names, as they are written in Poland, that only one encoding of a text gives."""
 
 _UNIT = re.compile(r"\s*[\[({<【].*$|[\s_.-]+(px|pix|pixels?|m|deg|degrees?|dms|wgs84|utm)$")
 
 
 def folded(name: str) -> str:
     """Return a name without accents, signs and capitals."""
-    letters = unicodedata.normalize("NFKD", name.casefold())
+    # The stroke of ł is no accent to Unicode.
+    letters = unicodedata.normalize("NFKD", name.casefold().replace("ł", "l"))
     without_accents = "".join(sign for sign in letters if not unicodedata.combining(sign))
     return re.sub(r"[\W_]", "", without_accents)
 

@@ -16,6 +16,9 @@ from termsel.data.tables.numbers import COMMA, POINT, BadCell, decimal_signs, re
 from termsel.formats.readers.cells import WIDEST, BadText, read_cells
 
 _ROWS = 200
+_BELONGS = 0.9
+"""Share of a column's variance that ground explains of an image, or an image of its ground."""
+
 _CRS_LINE = re.compile(r"(\+proj=|EPSG:|WGS ?84)", re.IGNORECASE)
 _SPREADSHEETS = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
 
@@ -31,13 +34,36 @@ def with_advice(error: TermselError, header: Sequence[str], rows: Sequence[Seque
     # Readings are of points: a table of lines has too many ways.
     if "line" not in aliases or "x" not in aliases:
         return error
-    readings = [{**reading, **known_columns}
-                for reading in _readings(rows, len(header), known_columns)]
+    return _with_readings(error, header, rows, [
+        {**reading, **known_columns} for reading in _readings(rows, len(header), known_columns)],
+        known_columns, aliases, fixed)
+
+
+def with_both_readings(error: TermselError, header: Sequence[str], rows: Sequence[Sequence[str]],
+                       named: Mapping[str, Sequence[int]], aliases: Aliases,
+                       fixed: Collection[int] = ()) -> TermselError:
+    """Return an error of a table with two columns of one meaning, with --columns for either.
+
+    `named` are the columns of each meaning by their names. What stands first goes with what stands
+    first, as x with y and lon with lat.
+    """
+    if not {"line", "sample", "x", "y"} <= {meaning for meaning in named if named[meaning]}:
+        return with_advice(error, header, rows, {meaning: columns[0] for meaning, columns
+                                                 in named.items() if columns}, aliases, fixed)
+    readings = [{meaning: columns[min(k, len(columns) - 1)]
+                 for meaning, columns in named.items() if columns} for k in (0, 1)]
+    return _with_readings(error, header, rows, readings, {}, aliases, fixed)
+
+
+def _with_readings(error: TermselError, header: Sequence[str], rows: Sequence[Sequence[str]],
+                   readings: Sequence[dict[str, int]], known_columns: Mapping[str, int],
+                   aliases: Aliases, fixed: Collection[int]) -> TermselError:
+    """Return an error with readings as texts of --columns; what is not known are guesses."""
     texts = [_columns_option(reading, header, aliases, fixed) for reading in readings]
     error.options["--columns"] = texts[0]
     error.hint = f"{error.hint or ''} Declare the columns: --columns {texts[0]!r}."
     # No reading has all columns; a point read so could not be shown.
-    if "?" in texts[0]:
+    if "=?" in texts[0]:
         error.hint += " Put the column for each ?."
     elif readings[0].keys() - known_columns:
         error.guesses = texts
@@ -147,6 +173,9 @@ def _readings(rows: Sequence[Sequence[str]], width: int,
     coordinates = known_columns.keys() & {"line", "sample", "x", "y", "z"}
     if not coordinates and len(values) in (4, 5):
         return [extra | reading for reading in _of_pairs(values)]
+    of_pair = _of_one_pair(_numbers(rows), values, known_columns)
+    if of_pair:
+        return [extra | reading for reading in of_pair]
     missing = [name for name in ("x", "y", "z", "sample", "line") if name not in known_columns]
     # More columns than meanings: any assignment would be a guess at random.
     if len(values) != len(missing):
@@ -171,6 +200,30 @@ def _id_and_flags(numbers: Mapping[int, FloatArray], known_columns: Mapping[str,
     if flags and "enabled" not in known_columns:
         extra["enabled"] = flags[-1]
     return extra
+
+
+def _of_one_pair(numbers: Mapping[int, FloatArray], values: Mapping[int, FloatArray],
+                 found: Mapping[str, int]) -> list[dict[str, int]]:
+    """Return readings where the pair of the ground is known and that of the image not, or reverse.
+
+    The other pair is what the known pair explains; none where fewer or more columns are explained.
+    What remains alone next to it are the heights, if those are not known.
+    """
+    image, ground = ("sample", "line"), ("x", "y")
+    known, missing = (ground, image) if found.keys() >= set(ground) else (image, ground)
+    if not found.keys() >= set(known) or found.keys() & set(missing) or any(
+            found[name] not in numbers for name in known):
+        return []
+    explained = [i for i in values if _explained(
+        {found[name]: numbers[found[name]] for name in known} | {i: values[i]}, i) > _BELONGS]
+    if len(explained) != 2:
+        return []
+    pairs = {known: [found[name] for name in known], missing: explained}
+    upright = _upright(numbers, pairs[image], pairs[ground])
+    names = missing if upright == image else missing[::-1]
+    others = [i for i in values if i not in explained]
+    heights = {"z": others[0]} if len(others) == 1 and "z" not in found else {}
+    return [dict(zip(order, explained, strict=True)) | heights for order in (names, names[::-1])]
 
 
 def _of_missing(missing: Sequence[str], free: Sequence[int]) -> list[dict[str, int]]:

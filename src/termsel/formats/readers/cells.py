@@ -17,7 +17,7 @@ import numpy as np
 from termsel.core.errors import TermselError, requires
 from termsel.core.files.apart import apart
 from termsel.core.files.names import is_there
-from termsel.data.tables.columns import FOREIGN, USE, Aliases, declared, matches
+from termsel.data.tables.columns import FOREIGN, POLISH, USE, Aliases, declared, matches
 from termsel.formats.base import read_data
 
 _DELIMITERS = (",", ";", "\t", "|", "")
@@ -26,6 +26,10 @@ _DELIMITERS = (",", ";", "\t", "|", "")
 _SEARCHED = 20  # rows in which a header may be found, below a title
 WIDEST = 1_000  # columns
 _SHEETS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1")  # zip of .xlsx and .ods; .xls
+
+
+_TOLD_BY_NAMES = {"gb18030": tuple(FOREIGN), "cp1250": POLISH, "iso8859-2": POLISH}
+"""Encodings that most bytes fit, by the names of columns of which they must give one."""
 
 
 class BadText(TermselError):
@@ -112,7 +116,7 @@ def sniffed(path: Path, head: bytes, aliases: Aliases,
 
 
 def decoded(data: bytes, path: Path, *, final: bool = True) -> tuple[str, str]:
-    """Return text, and its encoding: UTF-8, UTF-16, Windows-1252 or GB 18030.
+    """Return text, and its encoding: UTF-8, UTF-16, Windows-1252, or one that names tell.
 
     If not `final`, `data` are the first bytes of more. Raises TermselError if they are no text.
     """
@@ -121,7 +125,7 @@ def decoded(data: bytes, path: Path, *, final: bool = True) -> tuple[str, str]:
     zeros = [data[start:400:2].count(0) * 5 > len(data[:400]) // 2 for start in (0, 1)]
     wide = data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
     encodings = (["utf-16"] if wide else ["utf-16-be"] if zeros == [True, False] else
-             ["utf-16-le"] if zeros == [False, True] else ["utf-8-sig", "gb18030", "cp1252"])
+             ["utf-16-le"] if zeros == [False, True] else ["utf-8-sig", *_TOLD_BY_NAMES, "cp1252"])
     first_error: UnicodeDecodeError | None = None
     for encoding in encodings:
         try:
@@ -131,7 +135,8 @@ def decoded(data: bytes, path: Path, *, final: bool = True) -> tuple[str, str]:
             continue
         if "\0" in text:
             break
-        if encoding != "gb18030" or any(name in text for name in FOREIGN):
+        names = _TOLD_BY_NAMES.get(encoding, ("",))
+        if any(name in text.casefold() for name in names):
             return text, encoding
     # A zero byte is in no text of these encodings but UTF-16.
     if first_error is None or (b"\0" in data and not wide):

@@ -9,21 +9,30 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 
 from termsel.core.errors import TermselError
 from termsel.core.files.atomic import write_text
 from termsel.core.files.texts import cell_text
+from termsel.core.options import Option
 from termsel.data.features import FeatureSet, FloatArray, Lines, Points
 from termsel.data.tables.attributes import Attributes
-from termsel.data.tables.columns import LINES, POINTS
+from termsel.data.tables.columns import LINES, POINTS, folded
+from termsel.formats.base import IMAGE_NAME, image_of
 from termsel.formats.readers.table import Table, points_of
-from termsel.formats.readers.tables import TableReader
+from termsel.formats.readers.tables import COLUMNS, TableReader
 
 log = logging.getLogger(__name__)
 
 _LARGEST_IMAGE = 200_000.0  # px along a side
+
+_IMAGES = frozenset({
+    "image", "imagename", "imagefile", "imageid", "img", "imgname", "photo", "photoname",
+    "photofile", "photoid", "picture", "filename", "bild", "bildname", "bilddatei", "foto",
+    "imagen", "imagem", "immagine", "cliche", "zdjecie"})
+"""Names of the column that says which image a point was measured in, without signs."""
 
 
 class PointsCsv(TableReader):
@@ -36,12 +45,37 @@ class PointsCsv(TableReader):
     name = "points-csv"
     summary = "points as a table headed id,role,line,sample,x,y,z[,sigma_line,sigma_sample]"
     aliases = POINTS
+    declared_options: ClassVar[tuple[Option, ...]] = (IMAGE_NAME, *COLUMNS)
 
     def features(self, table: Table) -> FeatureSet:
         """Return the points of a table; errors name file, line and column."""
+        images = _images_of(table)
+        wanted = self.options["image_name"]
+        if images or wanted is not None:
+            image = image_of(table.path or Path(), images, wanted,
+                             "image_name=NAME, or fit each with termsel compare --points FILE")
+            table = table.take([row for row, name in enumerate(images) if name == image])
         features = points_of(table, table.crs)
         _check_pixels(table, features)
         return features
+
+
+    def parts(self, path: Path) -> dict[str, dict[str, Any]]:
+        """Return the images of the table, where it has several, each of which is a part."""
+        return {image: {"image_name": image}
+                for image in dict.fromkeys(_images_of(self.table(path)))}
+
+
+def _images_of(table: Table) -> list[str]:
+    """Return the image that each point was measured in; empty where the table has one image.
+
+    A picture of each point is no image that points were measured in.
+    """
+    for name, cells in table.more.items():
+        images = [str(cell) for cell in cells]
+        if folded(name) in _IMAGES and 1 < len(set(images)) < len(images):
+            return images
+    return []
 
 
 def _check_pixels(table: Table, features: FeatureSet) -> None:

@@ -31,7 +31,7 @@ from termsel.data.tables.columns import (
 )
 from termsel.data.tables.numbers import COMMA, POINT, BadCell, decimal_signs
 from termsel.formats.base import Reader, located
-from termsel.formats.readers.advice import with_advice
+from termsel.formats.readers.advice import with_advice, with_both_readings
 from termsel.formats.readers.cells import (
     Cells,
     found_in,
@@ -106,8 +106,9 @@ def _columns(path: Path | None, line: int | None, header: Sequence[str], rows: l
             if len(candidates) > 1 and meaning != "id":
                 if not _exclude_each_other(rows, candidates):
                     error = _ambiguous(path, line, header, meaning, candidates)
-                    raise with_advice(error, header, rows, {**columns, meaning: candidates[0]},
-                                      aliases, fixed)
+                    named = {name: [stated[name]] if name in stated else indices
+                             for name, indices in by_name.items()}
+                    raise with_both_readings(error, header, rows, named, aliases, fixed)
                 _merge_into_first(rows, candidates)
             columns[meaning] = candidates[0]
         elif not may_be_missing:
