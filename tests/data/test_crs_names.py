@@ -23,7 +23,12 @@ TABLE = "id,line,sample,x,y\nP1,10,20,5000,6000\nP2,900,40,5050,1000\nP3,40,800,
     ("+proj=longlat +datum=WGS84 +no_defs", "EPSG:4326"),
     ("+proj=utm +zone=11 +ellps=WGS84 +datum=WGS84 +units=m +no_defs", "EPSG:32611"),
     ("+proj=utm +zone=30 +south +datum=WGS84", "EPSG:32730"),
-    ("NAD_1983_UTM_Zone_11N", "EPSG:26911"), ("ETRS89", "EPSG:4258")])
+    ("NAD_1983_UTM_Zone_11N", "EPSG:26911"), ("ETRS89", "EPSG:4258"),
+    ("EPSG 32633", "EPSG:32633"), ("epsg-25833", "EPSG:25833"), ("+init=epsg:32633", "EPSG:32633"),
+    ("http://www.opengis.net/def/crs/EPSG/0/32633", "EPSG:32633"),
+    ("http://www.opengis.net/gml/srs/epsg.xml#32633", "EPSG:32633"),
+    ("ETRS89 UTM 33N", "EPSG:25833"), ("NAD27 / UTM 10 N", "EPSG:26710"),
+    ("SIRGAS 2000 UTM 23S", "EPSG:31983")])
 def test_names_of_a_crs(given: str, code: str, tmp_path: Path) -> None:
     degrees = code in ("EPSG:4326", "EPSG:4258")
     (tmp_path / "a.csv").write_text(
@@ -38,6 +43,15 @@ def test_names_of_a_crs(given: str, code: str, tmp_path: Path) -> None:
 def test_what_is_no_crs(given: str, tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(TABLE)
     with pytest.raises(TermselError, match=r"unknown CRS|does not exist"):
+        termsel.read(tmp_path / "a.csv", crs=given)
+
+
+@pytest.mark.parametrize(("given", "meant"), [
+    ("UTM33", r"EPSG:32633 \(north\) or EPSG:32733 \(south"), ("WGS84 UTM zone 5", "EPSG:32605"),
+    ("lat/lon", "EPSG:4326"), ("degrees", "EPSG:4326"), ("32633", "EPSG:32633")])
+def test_what_a_crs_may_mean_is_asked(given: str, meant: str, tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(TABLE)
+    with pytest.raises(TermselError, match=f"Did you mean {meant}"):
         termsel.read(tmp_path / "a.csv", crs=given)
 
 

@@ -42,6 +42,10 @@ _QUOTED_NAME = re.compile(r'\w+\s*\[\s*"([^"]{1,80})"')
 _BODY = re.compile(r"(?:GCS_|D_)?([A-Za-z]+)")
 
 _CODE = re.compile(r"(?:urn:ogc:def:crs:)?(EPSG|OGC):(?:[\d.]*:)?(\w+)", re.IGNORECASE)
+# As old programs of GDAL, WMS and people write codes.
+_CODE_LIKE = re.compile(r"(?:https?://www\.opengis\.net/(?:def/crs/(EPSG|OGC)/[\d.]+/|"
+                        r"gml/srs/(epsg)\.xml#)|\+init=(epsg):|(EPSG)[\s_-]+)(\w+)/?",
+                        re.IGNORECASE)
 _OTHER_CODE = re.compile(r"(IAU_\d{4}|ESRI):(\d{1,9})", re.IGNORECASE)
 _COMPOUND = re.compile(r"EPSG:(\d{1,9})\+(\d{1,9})", re.IGNORECASE)
 # x is longitude in termsel, so the OGC names say nothing more than the EPSG codes.
@@ -54,6 +58,12 @@ _WKT = re.compile(r"(GEOG|GEOD|GEOC|PROJ|COMP|LOCAL_CS|ENG|BOUND|DERIVED)\w*\s*\
 _WGS84_NAME = re.compile(r"(?:GCS[ _])?WGS[ _]?(?:19)?84", re.IGNORECASE)
 _UTM_NAME = re.compile(r"(?:WGS[ _]?(?:19)?84[ _]*/?[ _]*)?UTM[ _]*(?:zone[ _]*)?"
                        r"(?P<zone>\d{1,2})[ _]*(?P<side>[NS]|north|south)", re.IGNORECASE)
+_UTM_OF_DATUM = re.compile(r"(?P<datum>[A-Za-z][\w() -]{1,30}?)[ _]*/?[ _]*UTM[ _]*(?:zone[ _]*)?"
+                           r"(?P<zone>\d{1,2})[ _]*(?P<side>[NS]|north|south)", re.IGNORECASE)
+_UTM_WITHOUT_SIDE = re.compile(r"(?:WGS[ _]?(?:19)?84)?[ _/]*UTM[ _]*(?:zone[ _]*)?(\d{1,2})",
+                               re.IGNORECASE)
+_DEGREES = re.compile(r"\b(lat|lon|long|latlon|lonlat|longlat|latlong|latitude|longitude|deg|"
+                      r"degrees?|geographic|crs ?84)\b", re.IGNORECASE)
 _PROJ = re.compile(r"\+\w+(=\S+)?(\s+\+?\w+(=\S+)?)*")
 _CRS_NAME = re.compile(r"[A-Za-z][\w /().,+'-]{3,99}")
 # Chains of steps are no CRS; a file that a text from elsewhere names is not opened.
@@ -68,7 +78,7 @@ def normalise(crs: str) -> str:
     """Return the normal form of a CRS, in which names are compared.
 
     It is "EPSG:n", "EPSG:n+m" with heights of their own, "OGC:CRS84", their URN forms, WKT,
-    "local", "WGS84", "WGS84 UTM 16N", or with pyproj a string of PROJ, the name that EPSG or ESRI
+    "local", "WGS84", "WGS84 UTM 16N", "ETRS89 UTM 33N", or with pyproj a string of PROJ, the name that EPSG or ESRI
     gives a CRS, "ESRI:n" and the codes of other bodies than the Earth, "IAU_2015:n".
     "EPSG:n" is returned where the code is known, pyproj finds it or WKT ends with it. Raises
     TermselError for text in none of these forms. If pyproj is installed, also for a code that does
@@ -77,6 +87,9 @@ def normalise(crs: str) -> str:
     text = crs.strip()
     if text.lower() == LOCAL:
         return LOCAL
+    if like_code := _CODE_LIKE.fullmatch(text):
+        *authorities, number = like_code.groups()
+        text = f"{''.join(filter(None, authorities))}:{number}"
     # From the cheapest to the dearest: codes by their form, WKT and compound ones by pyproj.
     code = _CODE.fullmatch(text)
     if code:
@@ -105,9 +118,20 @@ def normalise(crs: str) -> str:
         return _as_listed(text)
     elif by_name := _named(text):
         return by_name
-    guess = f"Did you mean EPSG:{text}? " if text.isdecimal() else ""
     raise TermselError(f"unknown CRS {crs!r}",
-                       hint=f"{guess}Examples: {EXAMPLES}; WKT, or a string of PROJ.")
+                       hint=f"{_meant(text)}Examples: {EXAMPLES}; WKT, or a string of PROJ.")
+
+
+def _meant(text: str) -> str:
+    """Return a question what an unknown text may mean, "" without any guess."""
+    if text.isdecimal():
+        return f"Did you mean EPSG:{text}? "
+    zone = _UTM_WITHOUT_SIDE.fullmatch(text)
+    if zone and 1 <= int(zone[1]) <= 60:
+        return f"Did you mean EPSG:326{int(zone[1]):02d} (north) or EPSG:327{int(zone[1]):02d} " \
+            "(south of the equator)? "
+    return "Did you mean EPSG:4326 (WGS84 longitude and latitude)? " if _DEGREES.search(text) \
+        else ""
 
 
 @lru_cache
@@ -122,7 +146,12 @@ def _named(text: str) -> str:
         return f"EPSG:32{hemisphere}{zone:02d}" if 1 <= zone <= 60 else ""
     if text.startswith("+") and _PROJ.fullmatch(text):
         return _of_proj(text)
-    return _of_listed_name(text) if _CRS_NAME.fullmatch(text) else ""
+    name = _of_listed_name(text) if _CRS_NAME.fullmatch(text) else ""
+    of_datum = _UTM_OF_DATUM.fullmatch(text)
+    if name or not of_datum:
+        return name
+    return _of_listed_name(f"{of_datum['datum'].strip()} / UTM zone {int(of_datum['zone'])}"
+                           f"{of_datum['side'][0].upper()}")
 
 
 def _of_proj(text: str) -> str:
