@@ -112,6 +112,17 @@ def test_two_pairs_of_ground_are_both_shown(tmp_path: Path) -> None:
                                     "id=id,line=line,sample=sample,x=lon,y=lat,z=z"]
 
 
+@pytest.mark.parametrize("separator", [" ", ",", "\t"])
+def test_a_header_in_a_comment_is_a_header(separator: str, tmp_path: Path) -> None:
+    path = written(tmp_path / "points.txt", "# id;sample;line;x;y;z", "id sample line x y z",
+                   separator=separator)
+    path.write_text(f"# crs: EPSG:32633\n# by Ana\n{path.read_text()}")
+    features = termsel.read(path)
+    assert features.crs == "EPSG:32633"
+    np.testing.assert_array_equal(features.points.image, np.column_stack([LINE, SAMPLE]))
+    assert features.points.ids == tuple(COLUMNS["id"])
+
+
 def test_points_of_several_images_are_not_one_image(tmp_path: Path) -> None:
     path = tmp_path / "points.csv"
     path.write_text("Label,Photo,line,sample,x,y,z\n" + "".join(

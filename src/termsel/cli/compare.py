@@ -34,6 +34,8 @@ EXIT_FAILED = 1
 @click.option("--lines", metavar="FILES", multiple=True,
               help="Files of lines; they go with the points of the same name.")
 @click.option("--crs", metavar="CRS", help="CRS of the ground coordinates of all files.")
+@click.option("--candidates", metavar="FILE", type=click.Path(path_type=Path),
+              help="Projections that --crs auto chooses from for old maps, a CRS a line.")
 @click.option("--dem", metavar="FILE", help="Raster of heights for the points of all files.")
 @COLUMNS_OPTION
 @click.option("--accept", metavar="RMSE",
@@ -191,7 +193,12 @@ def _keys_of(options: dict[str, Any]) -> dict[str, Any]:
                            hint="Give --points FILES, or leave it out.")
     if options["dataset"] is not None:
         keys["data"] = [text.strip() for text in options["dataset"].split(",")]
-    settings = parse_settings(options["settings"])
+    candidates = options["candidates"]
+    if candidates is not None and not files:
+        raise TermselError("--candidates requires --points or --lines",
+                           hint="Give --points FILES, or leave it out.")
+    settings = parse_settings(options["settings"], projection_candidates=None
+                              if candidates is None else str(candidates))
     if files:
         from termsel.io.read import read_options
 

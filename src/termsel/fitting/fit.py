@@ -111,6 +111,17 @@ class Estimator(ABC):
                                hint="Measure more control, or choose a model with fewer terms.")
         return HeldOut.of(np.concatenate(errors), fitted.control.take(fitted.used))
 
+    def expected_rmse(self, fitted: Fit) -> tuple[float, float] | None:
+        """Return the RMSE at new points that is known besides held-out errors, None by default.
+
+        Returns
+        -------
+        tuple of 2 float, optional
+            The RMSE [px] by what was known before the points were measured, and the degrees of
+            freedom that it counts as next to those of the residuals.
+        """
+        return None
+
     def without_each(self, fitted: Fit) -> Iterator[Fit]:
         """Yield a fit of this estimator without each feature in use, by repeating it."""
         # A copy each time: the mask of the fit itself must stay.

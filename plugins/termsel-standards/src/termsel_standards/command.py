@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
+    from termsel import Result
     from termsel_standards.statement import PredictedStatement, Statements
 
 _PATH = click.Path(path_type=Path)
@@ -34,7 +35,8 @@ def accuracy(source: Path, survey_sigma: float | None, survey_sigma_z: float | N
 
     DIR is the folder that a run wrote with --out; its independent points are the check points.
     Without such points the accuracy that the run predicted is stated, with its interval and how it
-    was found: it is no test, so the standards have no statement on it.
+    was found: it is no test, so the standards have no statement on it. Of a folder of several
+    results, such as a block or a batch wrote, each is stated.
     TABLE is a CSV of errors in metres, headed id,dx,dy and where they are known
     dz,x,y,sigma_x,sigma_y,sigma_z.
 
@@ -46,28 +48,50 @@ def accuracy(source: Path, survey_sigma: float | None, survey_sigma_z: float | N
     """
     import msgspec
 
-    from termsel import read_result
-    from termsel.toolkit.files import prediction_of
     from termsel_standards.errors import errors_of, read_errors
-    from termsel_standards.statement import prediction_statement, statements_of
+    from termsel_standards.statement import statements_of
 
     # A folder with a result is not a table, nor is its result.json.
-    table = source.is_file() and source.suffix != ".json"
-    if table:
+    if source.is_file() and source.suffix != ".json":
         errors = read_errors(source)
+        stated = [statements_of(errors.surveyed(survey_sigma, survey_sigma_z), horizontal, vertical)]
+        took = "which must have taken"
     else:
-        result = read_result(source)
-        prediction = prediction_of(result) if result.accuracy is None else None
-        if prediction is not None:
-            _show_prediction(prediction_statement(result.data.source, prediction), as_json=as_json)
-            return
-        errors = errors_of(result)
-    stated = statements_of(errors.surveyed(survey_sigma, survey_sigma_z), horizontal, vertical)
+        took = "which took"
+        stated = []
+        for result in _results_of(source):
+            predicted = _predicted_only(result)
+            stated.append(predicted or statements_of(
+                errors_of(result).surveyed(survey_sigma, survey_sigma_z), horizontal, vertical))
     if as_json:
-        click.echo(msgspec.json.format(msgspec.json.encode(stated), indent=2))
-    else:
-        click.echo("\n".join(_text(
-            stated, "which must have taken" if table else "which took")))
+        content = stated[0] if len(stated) == 1 else stated
+        click.echo(msgspec.json.format(msgspec.json.encode(content), indent=2))
+        return
+    click.echo("\n\n\n".join("\n".join(_lines_of(statement, took)) for statement in stated))
+
+
+def _results_of(folder: Path) -> list[Result]:
+    """Return the result of a folder, or those of its folders, as a block and a batch have them."""
+    from termsel import read_result
+
+    inner = [] if (folder / "result.json").exists() else sorted(
+        [*folder.glob("*/result.json"), *folder.glob("images/*/result.json")])
+    return [read_result(path.parent) for path in inner] or [read_result(folder)]
+
+
+def _predicted_only(result: Result) -> PredictedStatement | None:
+    """Return the statement on what a result predicts, if no independent points tested it."""
+    from termsel.toolkit.files import prediction_of
+    from termsel_standards.statement import prediction_statement
+
+    prediction = prediction_of(result) if result.accuracy is None else None
+    return None if prediction is None else prediction_statement(result.data.source, prediction)
+
+
+def _lines_of(stated: Statements | PredictedStatement, took: str) -> Iterator[str]:
+    from termsel_standards.statement import Statements
+
+    return _text(stated, took) if isinstance(stated, Statements) else _predicted_text(stated)
 
 
 def _text(stated: Statements, took: str) -> Iterator[str]:
@@ -100,18 +124,16 @@ def _text(stated: Statements, took: str) -> Iterator[str]:
     yield from (fill(f"Note: {note}", 90, subsequent_indent="    ") for note in stated.notes)
 
 
-def _show_prediction(stated: PredictedStatement, *, as_json: bool) -> None:
-    """Print a predicted accuracy as JSON, or as text to sign."""
-    import msgspec
-
-    if as_json:
-        click.echo(msgspec.json.format(msgspec.json.encode(stated), indent=2))
-        return
-    click.echo(f"{stated.source}: no independent check points\n")
-    click.echo(fill(f"{stated.words}.", 90) + "\n")
+def _predicted_text(stated: PredictedStatement) -> Iterator[str]:
+    """Yield the lines of a predicted accuracy, as text to sign."""
+    yield f"{stated.source}: no independent check points"
+    yield ""
+    yield fill(f"{stated.words}.", 90)
+    yield ""
     for statement in stated.statements:
-        click.echo(fill(f"{statement.standard}: {statement.words}.", 90, subsequent_indent="    "))
-    click.echo("\nDate:                Signed:")
+        yield fill(f"{statement.standard}: {statement.words}.", 90, subsequent_indent="    ")
+    yield ""
+    yield "Date:                Signed:"
 
 
 def _or(value: float | None) -> str:

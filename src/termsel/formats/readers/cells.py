@@ -23,10 +23,11 @@ from termsel.formats.base import read_data
 _DELIMITERS = (",", ";", "\t", "|", "")
 """The last stands for spaces."""
 
+_FEWEST_NAMES = 3  # of a header
+_HEADER_WITHIN = 4_000  # characters in which a header is looked for among comments
 _SEARCHED = 20  # rows in which a header may be found, below a title
 WIDEST = 1_000  # columns
 _SHEETS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1")  # zip of .xlsx and .ods; .xls
-
 
 _TOLD_BY_NAMES = {"gb18030": tuple(FOREIGN), "cp1250": POLISH, "iso8859-2": POLISH}
 """Encodings that most bytes fit, by the names of columns of which they must give one."""
@@ -79,7 +80,7 @@ def header_row(rows: Sequence[Sequence[str]], aliases: Aliases, stated: Mapping[
     """Return the row that names most columns, among the first ones; 0 where none names three."""
     counts = [found_in(row, aliases, stated) for row in rows[:_SEARCHED]]
     best = max(counts, default=0)
-    return counts.index(best) if best >= 3 else 0
+    return counts.index(best) if best >= _FEWEST_NAMES else 0
 
 
 def read_cells(path: Path, aliases: Aliases, stated: Mapping[str, str], layer: str | None = None,
@@ -90,6 +91,7 @@ def read_cells(path: Path, aliases: Aliases, stated: Mapping[str, str], layer: s
     if data.startswith(_SHEETS):
         return _sheet(path, aliases, stated, layer)
     text, encoding = decoded(data, path)
+    text = _with_header(text, aliases, stated)
     _refuse_wide(path, text)
     is_unicode = encoding.startswith("utf")
     notes = () if is_unicode else (
@@ -111,6 +113,7 @@ def sniffed(path: Path, head: bytes, aliases: Aliases,
         return []
     if text.lstrip()[:1] in ("<", "{"):  # XML or JSON, which other readers take or refuse
         return []
+    text = _with_header(text, aliases, stated)
     delimiter = _delimiter(text, aliases, stated)
     return [_split(line, delimiter) for line in _first_lines(text)]
 
@@ -165,6 +168,22 @@ def _first_lines(text: str) -> Iterator[str]:
         yield line
 
 
+def _with_header(text: str, aliases: Aliases, stated: Mapping[str, str]) -> str:
+    """Return a text whose header is a comment, as NumPy writes it, with that as a plain line."""
+    comments = re.findall(r"^#.*$", text[:_HEADER_WITHIN], re.MULTILINE)
+    named = [comment for comment in comments
+             if _names_in(comment.lstrip("# "), aliases, stated) >= _FEWEST_NAMES]
+    if not named or any(_names_in(line, aliases, stated) >= _FEWEST_NAMES
+                        for line in _first_lines(text)):
+        return text
+    return text.replace(named[-1], named[-1].lstrip("# "), 1)
+
+
+def _names_in(line: str, aliases: Aliases, stated: Mapping[str, str]) -> int:
+    """Return how many meanings a line names, by the separator by which it names most."""
+    return max(found_in(_split(line, delimiter), aliases, stated) for delimiter in _DELIMITERS)
+
+
 def _split(line: str, delimiter: str) -> list[str]:
     """Return the cells of a line; none if it cannot be a row."""
     if not delimiter:
@@ -187,7 +206,7 @@ def _delimiter(text: str, aliases: Aliases, stated: Mapping[str, str]) -> str:
             width = len(cells) if delimiter else 0
             candidates.append((found_in(cells, aliases, stated), -i, width, delimiter))
     best = max(candidates)
-    if best[0] >= 3:
+    if best[0] >= _FEWEST_NAMES:
         return best[-1]
     line = lines[0] if lines else ""
     # Commas between digits may be decimal, where anything else separates cells.

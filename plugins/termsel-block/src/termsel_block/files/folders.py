@@ -150,11 +150,12 @@ def image_result(result: BlockResult, i: int, record: BlockRecord) -> Result:
     state = result.adjusted.state
     features = _features(result, i, image)
     name = correction_of(result, i)
+    source = f"image {image.name} of a block"
     if name == "polynomial":
-        fitted = run(features=features, options=_TESTED)
+        fitted = run(features=features, source=source, options=_TESTED)
     elif image.rpc is None:
         fitted = run("rfm-terms", features=features, solver="all-terms", criterion="press",
-                    model=name, options={**image.options, **_TESTED})
+                    model=name, source=source, options={**image.options, **_TESTED})
     else:
         rpc = {"file": (image.rpc_file or Path(f"{image.name}.RPB")).name, **asdict(image.rpc)}
         # The same correction as the block's: every term of it, estimated again with ties as
@@ -170,7 +171,7 @@ def image_result(result: BlockResult, i: int, record: BlockRecord) -> Result:
             intervals = max(2, min(_INTERVALS, len(features.points) // _PER_INTERVAL))
             options |= {"across": True, "intervals": intervals}
         fitted = run("rfm-terms", features=features, solver="all-terms", criterion="press",
-                    model=model, options={**options, **_TESTED})
+                    model=model, source=source, options={**options, **_TESTED})
     image_record = record.images[i]
     note = (f"The places of {int(state.in_use[i].sum())} ties come from a block of "
             f"{len(record.images)} images. By the block points in this image have an RMSE of "

@@ -146,6 +146,21 @@ def _of_type(named: SurveyCamera, stated: Mapping[str, str],
                    source=f"the camera {stated['camera']} ({named.source})")
 
 
+def interior_of_file(path: str) -> Interior:
+    """Return what a camera file says.
+
+    Raises
+    ------
+    TermselError
+        If there is none, or it is of a type, whose pixels only an image tells.
+    """
+    content = camera_named(path)
+    if isinstance(content, SurveyCamera):
+        raise TermselError(f"the camera {path!r} is a type, whose focal length in px is not known",
+                           hint="State focal in px, or a camera file NAME.json.")
+    return _of_file(content, path)
+
+
 def _of_file(content: Mapping[str, Any], path: str) -> Interior:
     """Return what a camera file says."""
     values = {name: _listed(content.get(name)) for name in (

@@ -25,7 +25,7 @@ from termsel.toolkit.models import (
     cameras_of,
     rotations,
 )
-from termsel_photos.known.interior import Interior
+from termsel_photos.known.interior import STATED_REACH, Interior, interior_of_file
 from termsel_photos.known.lens import FloatArray, Lens
 from termsel_photos.known.turns import vector_of
 
@@ -60,10 +60,24 @@ APART = 0.05
 ALIKE = 6.0
 """Twice the logarithm of the likelihood by which two cameras must differ, if points tell them."""
 
+CAMERA_FILE = Option("camera", None, "A camera file NAME.json: focal, principal point and "
+                                     "distortion; options that are given come before it.")
+
 _STEP = 1e-5
 
 TERMS = ("turn-line", "turn-sample", "turn-view", "shift-line", "shift-sample", "shift-view",
          "focal", "middle-line", "middle-sample")
+
+
+def options_of_camera(path: str) -> dict[str, Any]:
+    """Return the options that a camera file stands for."""
+    known = interior_of_file(path)
+    options: dict[str, Any] = {"focal": known.focal, "focal_spread": known.focal_spread,
+                               "distortion": ",".join(map(repr, known.distortion))}
+    if np.isfinite(known.line):
+        options |= {"line": known.line, "sample": known.sample,
+                    "reach": STATED_REACH * known.focal}
+    return options
 
 
 class KnownFrame(SensorModel):
@@ -81,6 +95,7 @@ class KnownFrame(SensorModel):
 
     name = "known-frame"
     declared_options = (
+        CAMERA_FILE,
         Option("focal", 1.0, "Focal length [px].", float, 1e-6, 1e9),
         Option("focal_spread", 0.01, "Relative standard deviation of it.", float, 1e-9, 10.0),
         Option("line", None, "Line of the principal point [px].", float, -1e9, 1e9),
@@ -109,8 +124,10 @@ class KnownFrame(SensorModel):
                    position_spread=float(interior.position_spread), height=number(interior.height),
                    mirrored=mirrored)
 
-    def __init__(self, **options: Any) -> None:
-        super().__init__(**options)
+    def __init__(self, camera: str | None = None, **options: Any) -> None:
+        # What the file says is recorded, not its name: it may be elsewhere later.
+        of_file = {} if camera is None else options_of_camera(CAMERA_FILE.parse(camera))
+        super().__init__(**{**of_file, **options})
         self.lens = Lens(*map(float, self.options["distortion"].split(",")))
 
     @property
