@@ -54,7 +54,8 @@ def accuracy(source: Path, survey_sigma: float | None, survey_sigma_z: float | N
     # A folder with a result is not a table, nor is its result.json.
     if source.is_file() and source.suffix != ".json":
         errors = read_errors(source)
-        stated = [statements_of(errors.surveyed(survey_sigma, survey_sigma_z), horizontal, vertical)]
+        surveyed = errors.surveyed(survey_sigma, survey_sigma_z)
+        stated = [statements_of(surveyed, horizontal, vertical)]
         took = "which must have taken"
     else:
         took = "which took"

@@ -71,7 +71,7 @@ def _images_of(table: Table) -> list[str]:
 
     A picture of each point is no image that points were measured in.
     """
-    for name, cells in table.more.items():
+    for name, cells in table.attributes.items():
         images = [str(cell) for cell in cells]
         if folded(name) in _IMAGES and 1 < len(set(images)) < len(images):
             return images
