@@ -64,7 +64,7 @@ _FURTHER = {meaning: frozenset(names.split()) for meaning, names in {
 FOREIGN = frozenset(name for name in frozenset().union(*_FURTHER.values()) if not name.isascii())
 """Names that only one encoding of Chinese text gives."""
 
-POLISH = ("wysokość", "długość", "szerokość", "północ")
+CENTRAL_EUROPEAN = ("wysokość", "długość", "szerokość", "północ")
 """Names, as they are written in Poland, that only one encoding of a text gives."""
 
 _UNIT = re.compile(r"\s*[\[({<【].*$|[\s_.-]+(px|pix|pixels?|m|deg|degrees?|dms|wgs84|utm)$")

@@ -17,7 +17,7 @@ import numpy as np
 from termsel.core.errors import TermselError, requires
 from termsel.core.files.apart import apart
 from termsel.core.files.names import is_there
-from termsel.data.tables.columns import FOREIGN, POLISH, USE, Aliases, declared, matches
+from termsel.data.tables.columns import CENTRAL_EUROPEAN, FOREIGN, USE, Aliases, declared, matches
 from termsel.formats.base import read_data
 
 _DELIMITERS = (",", ";", "\t", "|", "")
@@ -29,7 +29,7 @@ _SEARCHED = 20  # rows in which a header may be found, below a title
 WIDEST = 1_000  # columns
 _SHEETS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1")  # zip of .xlsx and .ods; .xls
 
-_TOLD_BY_NAMES = {"gb18030": tuple(FOREIGN), "cp1250": POLISH, "iso8859-2": POLISH}
+_TOLD_BY_NAMES = {"gb18030": tuple(FOREIGN), "cp1250": CENTRAL_EUROPEAN, "iso8859-2": CENTRAL_EUROPEAN}
 """Encodings that most bytes fit, by the names of columns of which they must give one."""
 
 
