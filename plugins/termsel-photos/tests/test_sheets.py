@@ -109,3 +109,24 @@ def test_a_century_has_its_projections(tmp_path: Path) -> None:
     with pytest.raises(TermselError) as refused:
         projections_of_file(tmp_path / "wrong.txt")
     assert refused.value.line == 2
+
+
+@pytest.mark.slow
+def test_a_batch_of_maps_chooses_among_candidates_of_a_file(
+        tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    candidates = tmp_path / "mine.txt"
+    candidates.write_text(EVERY, encoding="utf-8")
+    (tmp_path / "maps").mkdir()
+    for seed in range(2):
+        table(sheet(6, seed), tmp_path / "maps" / f"{seed}.csv")
+    done = invoke("compare", "--points", tmp_path / "maps" / "*.csv", "--crs", "auto",
+                  "--candidates", candidates, "--out", tmp_path / "out")
+    assert done.exit_code == 0, done.stderr
+    assert caplog.text.count("of 3 projections conic predicts the points best") == 2
+
+
+def test_candidates_are_of_files(tmp_path: Path) -> None:
+    refused = invoke("compare", "--problem", "rfm-terms", "--candidates", tmp_path / "mine.txt",
+                     "--out", tmp_path / "out")
+    assert refused.exit_code == 2
+    assert "--candidates requires --points or --lines" in refused.stderr

@@ -51,6 +51,7 @@ def accuracy(source: Path, survey_sigma: float | None, survey_sigma_z: float | N
     from termsel_standards.errors import errors_of, read_errors
     from termsel_standards.statement import statements_of
 
+    stated: list[Statements | PredictedStatement]
     # A folder with a result is not a table, nor is its result.json.
     if source.is_file() and source.suffix != ".json":
         errors = read_errors(source)

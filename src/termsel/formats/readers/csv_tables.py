@@ -8,6 +8,7 @@ is (0, 0), whatever the image columns are called.
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -19,8 +20,9 @@ from termsel.core.files.texts import cell_text
 from termsel.core.options import Option
 from termsel.data.features import FeatureSet, FloatArray, Lines, Points
 from termsel.data.tables.attributes import Attributes
-from termsel.data.tables.columns import LINES, POINTS, folded
+from termsel.data.tables.columns import LINES, POINTS, folded, parse_columns
 from termsel.formats.base import IMAGE_NAME, image_of
+from termsel.formats.readers.cells import header_row, read_cells
 from termsel.formats.readers.table import Table, points_of
 from termsel.formats.readers.tables import COLUMNS, TableReader
 
@@ -49,7 +51,7 @@ class PointsCsv(TableReader):
 
     def features(self, table: Table) -> FeatureSet:
         """Return the points of a table; errors name file, line and column."""
-        images = _images_of(table)
+        images = _images_of(table.attributes)
         wanted = self.options["image_name"]
         if images or wanted is not None:
             image = image_of(table.path or Path(), images, wanted,
@@ -59,20 +61,24 @@ class PointsCsv(TableReader):
         _check_pixels(table, features)
         return features
 
-
     def parts(self, path: Path) -> dict[str, dict[str, Any]]:
         """Return the images of the table, where it has several, each of which is a part."""
-        return {image: {"image_name": image}
-                for image in dict.fromkeys(_images_of(self.table(path)))}
+        stated = parse_columns(self.options.get("columns", ""))
+        # Cells alone: the notes on a table are for its reading.
+        rows = read_cells(path, self.aliases, stated, self.options.get("layer")).rows
+        first = header_row(rows, self.aliases, stated)
+        columns = zip(*[row for row in rows[first:] if len(row) == len(rows[first])], strict=True)
+        images = _images_of({name: cells for name, *cells in columns})
+        return {image: {"image_name": image} for image in dict.fromkeys(images)}
 
 
-def _images_of(table: Table) -> list[str]:
-    """Return the image that each point was measured in; empty where the table has one image.
+def _images_of(columns: Mapping[str, Sequence[str]]) -> list[str]:
+    """Return the image that each point was measured in; empty where a table has one image.
 
     A picture of each point is no image that points were measured in.
     """
-    for name, cells in table.attributes.items():
-        images = [str(cell) for cell in cells]
+    for name, cells in columns.items():
+        images = [str(cell).strip() for cell in cells]
         if folded(name) in _IMAGES and 1 < len(set(images)) < len(images):
             return images
     return []
