@@ -70,6 +70,17 @@ def test_a_projection_without_a_code_in_every_form(tmp_path: Path) -> None:
         assert operation.method_name.startswith("Bonne")
 
 
+@pytest.mark.parametrize("name", ["a.prj", "a.csv.prj", "a.qpj"])
+def test_a_file_next_to_a_table_has_its_crs(name: str, tmp_path: Path,
+                                            caplog: pytest.LogCaptureFixture) -> None:
+    (tmp_path / "a.csv").write_text(TABLE)
+    (tmp_path / name).write_text(pyproj.CRS(3857).to_wkt())
+    assert termsel.read(tmp_path / "a.csv").crs == "EPSG:3857"
+    assert "Warning" not in caplog.text
+    assert termsel.read(tmp_path / "a.csv", crs="EPSG:2056").crs == "EPSG:2056"
+    assert f"{name} has the CRS EPSG:3857, but --crs EPSG:2056 is used" in caplog.text
+
+
 def test_a_file_without_a_crs_is_named(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(TABLE)
     (tmp_path / "a.wkt").write_text("nothing")

@@ -313,3 +313,42 @@ def test_a_file_without_points_is_not_written(tmp_path: Path) -> None:
             with pytest.raises(TermselError, match="no point of this result can be written"):
                 termsel.export(flat, name, tmp_path / file)
     assert not list(tmp_path.iterdir())
+
+
+GCPS = [(10.5, 20.5, 15.81, 46.94, 240.8), (900.0, 40.0, 15.83, 46.94, 231.0),
+        (450.0, 700.0, 15.82, 46.92, 228.5)]
+
+
+@pytest.mark.parametrize("columns", ["", "\t>\tColor"])
+def test_erdas_tables_are_recognised_with_all_their_columns(columns: str, tmp_path: Path) -> None:
+    """X, Y and Z stand in the names of its columns, next to other words."""
+    blank = "\t" * columns.count("\t")
+    header = (f"Point #\tPoint ID{columns}\tX Input\tY Input{columns}\tX Ref.\tY Ref.\tZ Ref.\t"
+              "Type\tX Residual\tY Residual")
+    rows = [f"{i}\tGCP #{i}{blank}\t{sample}\t{-line}{blank}\t{x}\t{y}\t{z}\tControl\t0.1\t0.2"
+            for i, (sample, line, x, y, z) in enumerate(GCPS)]
+    path = tmp_path / "points.txt"
+    path.write_text("\n".join([header, *rows, ""]))
+    points = termsel.read(path, crs="EPSG:4326").points
+    assert points.ids == ("GCP #0", "GCP #1", "GCP #2")
+    assert points.image.tolist() == [[line, sample] for sample, line, *_ in GCPS]
+
+
+def test_pci_writes_degrees_with_minutes_and_seconds(tmp_path: Path) -> None:
+    def angle(value: float, side: str) -> str:
+        minutes, seconds = divmod(value % 1.0 * 3600.0, 60.0)
+        return f"{int(value)}d{int(minutes):02d}'{seconds:.4f}\"{side}"
+
+    path = tmp_path / "points.gcp"
+    path.write_text("".join(f"G{i} {sample} {line} {angle(x, 'E')} {angle(y, 'N')} {z}\n"
+                            for i, (sample, line, x, y, z) in enumerate(GCPS)))
+    points = termsel.read(path, crs="EPSG:4326").points
+    np.testing.assert_allclose(points.ground, [row[2:] for row in GCPS], atol=1e-7)
+
+
+def test_links_with_decimal_commas_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "links.txt"
+    path.write_text("".join(f"{sample:.4f}\t{-line:.4f}\t{x:.6f}\t{y:.6f}\n".replace(".", ",")
+                            for sample, line, x, y, _ in GCPS))
+    points = termsel.read(path, crs="EPSG:4326").points
+    assert points.image.tolist() == [[line - 0.5, sample - 0.5] for sample, line, *_ in GCPS]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from termsel.core.errors import TermselError
 from termsel.core.files.names import is_there
-from termsel.data.coordinates.crs import normalise
+from termsel.data.coordinates.crs import normalise, short
 from termsel.data.rasters import open_raster
 from termsel.formats.base import located, read_head, read_text
 from termsel.formats.readers.vector import is_vector, open_layer
@@ -35,14 +35,34 @@ def stated_crs(stated: str | None) -> str | None:
 
 def crs_next_to(path: Path) -> str:
     """Return the CRS in the file of the same name that ends in .prj, "" where there is none."""
-    candidates = (path.with_suffix(".prj"), path.with_suffix(".PRJ"))
-    prj = next((candidate for candidate in candidates
-                if candidate != path and is_there(candidate) and candidate.is_file()), None)
+    prj = _prj_next_to(path)
     if prj is None:
         return ""
     crs = _crs_of_text(prj)
     log.info("Note: the CRS is that of %s.", prj.name)
     return crs
+
+
+def say_other_crs(path: Path, stated: str) -> None:
+    """Say that the file next to a file has another CRS than the one that is stated for it."""
+    prj = _prj_next_to(path)
+    if prj is None:
+        return
+    try:
+        crs = _crs_of_text(prj)
+    except TermselError:
+        return  # the user's word holds, whatever that file is
+    if crs != stated:
+        log.warning("Warning: %s has the CRS %s, but --crs %s is used.", prj.name, short(crs),
+                    short(stated))
+
+
+def _prj_next_to(path: Path) -> Path | None:
+    """Return the .prj file of a file; QGIS writes .qpj too, and some programs a.csv.prj."""
+    candidates = (path.with_suffix(".prj"), path.with_suffix(".PRJ"),
+                  path.with_name(f"{path.name}.prj"), path.with_suffix(".qpj"))
+    return next((candidate for candidate in candidates
+                 if candidate != path and is_there(candidate) and candidate.is_file()), None)
 
 
 def _crs_of_file(path: Path) -> str:

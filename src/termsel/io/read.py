@@ -26,7 +26,7 @@ from termsel.data.features import FeatureSet, no_lines, no_points
 from termsel.data.rpc import Rpc
 from termsel.data.tables.columns import LINES, OPTIONAL, POINTS, columns_text
 from termsel.formats.base import Reader, is_utf16, located, read_head, read_once, utf16_error
-from termsel.formats.crs_files import crs_next_to, stated_crs
+from termsel.formats.crs_files import crs_next_to, say_other_crs, stated_crs
 from termsel.formats.heights import with_heights
 from termsel.formats.image_origin import (
     IMAGE_ORIGIN,
@@ -570,6 +570,8 @@ def _agreed_crs(sets: dict[Path, FeatureSet], stated: str | None) -> str:
         # A .prj file is looked for only where nobody says the CRS.
         crs = features.crs or ("" if stated else crs_next_to(path))
         if not crs:
+            if stated:
+                say_other_crs(path, stated)
             continue
         try:
             declared = normalise(crs)

@@ -280,7 +280,9 @@ def _upright(values: Mapping[int, FloatArray], image: Sequence[int],
         return "sample", "line"
     # The affine map (x, y) -> (first, second), by least squares: its determinant is negative for a
     # pair sample, line.
-    x, y, first, second = table
+    # Numbers without a positive one count the other way, as y upwards from the upper edge.
+    x, y, first, second = [*table[:2], *(-column if column.max() <= 0.0 else column
+                                         for column in table[2:])]
     design = np.column_stack([x - x.mean(), y - y.mean()])
     slopes = np.linalg.lstsq(design, np.column_stack([first, second]) - [
         first.mean(), second.mean()], rcond=None)[0]

@@ -170,19 +170,34 @@ def _first_lines(text: str) -> Iterator[str]:
 
 
 def _with_header(text: str, aliases: Aliases, stated: Mapping[str, str]) -> str:
-    """Return a text whose header is a comment, as NumPy writes it, with that as a plain line."""
-    comments = re.findall(r"^#.*$", text[:_HEADER_WITHIN], re.MULTILINE)
-    named = [comment for comment in comments
-             if _names_in(comment.lstrip("# "), aliases, stated) >= _FEWEST_NAMES]
-    if not named or any(_names_in(line, aliases, stated) >= _FEWEST_NAMES
-                        for line in _first_lines(text)):
+    """Return a text whose header is a comment, as NumPy writes it, with that as a plain line.
+
+    It stands right above the first row and has as many cells: other comments explain formats.
+    """
+    lines = text[:_HEADER_WITHIN].splitlines(keepends=True)
+    first = next((i for i, line in enumerate(lines) if line.strip() and line[0] != "#"), 0)
+    if not first or not lines[first - 1].startswith("#"):
         return text
-    return text.replace(named[-1], named[-1].lstrip("# "), 1)
+    header = lines[first - 1].lstrip("# ")
+    for delimiter in _delimiters_of(header):
+        cells = _split(header, delimiter)
+        if found_in(cells, aliases, stated) >= _FEWEST_NAMES \
+                and len(_split(lines[first], delimiter)) == len(cells) \
+                and not any(_names_in(line, aliases, stated) >= _FEWEST_NAMES
+                            for line in _first_lines(text)):
+            return text.replace(lines[first - 1], header, 1)
+    return text
 
 
 def _names_in(line: str, aliases: Aliases, stated: Mapping[str, str]) -> int:
     """Return how many meanings a line names, by the separator by which it names most."""
-    return max(found_in(_split(line, delimiter), aliases, stated) for delimiter in _DELIMITERS)
+    return max(found_in(_split(line, delimiter), aliases, stated)
+               for delimiter in _delimiters_of(line))
+
+
+def _delimiters_of(line: str) -> tuple[str, ...]:
+    """Return the separators that a line may have: next to tabs, spaces are within cells."""
+    return _DELIMITERS[:-1] if re.search(r"[;\t|]", line.strip()) else _DELIMITERS
 
 
 def _split(line: str, delimiter: str) -> list[str]:
@@ -201,7 +216,7 @@ def _delimiter(text: str, aliases: Aliases, stated: Mapping[str, str]) -> str:
     lines = list(_first_lines(text))
     candidates = [(0, 0, 0, ",")]
     for i, line in enumerate(lines):
-        for delimiter in _DELIMITERS:
+        for delimiter in _delimiters_of(line):
             cells = _split(line, delimiter)
             # Most columns named, then the earliest line, then most cells.
             width = len(cells) if delimiter else 0

@@ -51,7 +51,7 @@ class PointsCsv(TableReader):
 
     def features(self, table: Table) -> FeatureSet:
         """Return the points of a table; errors name file, line and column."""
-        images = _images_of(table.attributes)
+        images = _images_of({name: list(cells) for name, cells in table.attributes.items()})
         wanted = self.options["image_name"]
         if images or wanted is not None:
             image = image_of(table.path or Path(), images, wanted,

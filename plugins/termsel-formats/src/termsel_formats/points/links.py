@@ -96,6 +96,9 @@ def _first(width: int) -> int:
 
 def _rows(text: str) -> list[tuple[int, list[str]]]:
     """Return number and cells of the lines that are no comments."""
+    # Next to tabs or semicolons, commas are decimal, as ArcGIS writes them in many countries.
+    if re.search(r"[\t;]", text) and "." not in text:
+        text = text.replace(",", ".")
     rows = []
     for number, line in enumerate(text.splitlines(), 1):
         if line.strip() and not line.lstrip().startswith("#"):

@@ -6,7 +6,7 @@ lines are taken as GDAL takes those of PCI's segments, from the outer corner of 
 
 References
 ----------
-CATALYST Professional, "Understanding formats for text files containing GCPs".
+CATALYST Professional, "Understanding formats for text files containing GCPs"; "GCPWRIT".
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from termsel_formats.points.common import CORNER
 from termsel_formats.points.written import PointsWriter, say_points
 
 _FIELD = re.compile(r'"([^"]*)"|([^\s,]+)')
+_DMS = re.compile(r"""\d{1,3}d\d{1,2}'\d{1,2}(\.\d*)?"[NSEW]""")  # as GCPWRIT with DMSFORM
 _TOKEN = re.compile(r"ID|I|e[PLXYZ]|[PLXYZES]")
 _MEANING = {"ID": "id", "I": "id", "P": "sample", "L": "line", "X": "x", "Y": "y", "Z": "z",
             "E": "z", "eP": "sigma_sample", "eL": "sigma_line", "S": "role"}
@@ -112,7 +113,7 @@ def _rows(text: str) -> list[tuple[int, list[str]]]:
 
 def _are_numbers(cells: list[str]) -> bool:
     try:
-        return bool(np.isfinite([float(cell) for cell in cells]).all())
+        return bool(np.isfinite([float(cell) for cell in cells if not _DMS.fullmatch(cell)]).all())
     except ValueError:
         return False
 

@@ -109,7 +109,7 @@ class ByKnownCamera(Estimator):
         freedom = measured.experience + max(2 * len(measured.image) - measured.unknowns, 0)
         spread = self.spread(fitted, fitted.scaled_control.take(fitted.used).points.ground)
         square = float((spread.variance + spread.noise).sum(axis=1).mean())
-        widened = freedom / max(freedom - 2.0, 1.0)  # of three points there is none to speak of
+        widened = freedom / max(freedom - 2.0, 1.0)
         return (float(np.sqrt(square * widened)) * fitted.scaling.image_scale,
                 measured.experience)
 
