@@ -11,7 +11,7 @@ from termsel import FeatureSet, FitData, TermselError
 from termsel.toolkit.models import Auto
 from termsel_photos.sheets.candidates import Projection
 
-NEARLY = 1.02
+NEARLY = 1.1
 """RMSE by that of the best, up to which the first of several projections is taken: they predict
 alike."""
 
