@@ -49,6 +49,7 @@ class Journal:
 
         Raises TermselError where that fails; then the journal is as it was before.
         """
+        # One line an entry, so that a torn one is only the last.
         text = json.dumps(entry, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
         end = self._file.seek(0, os.SEEK_END)
         try:
@@ -57,6 +58,7 @@ class Journal:
                 content = content[self._file.write(content):]
             os.fsync(self._file.fileno())
         except OSError as error:
+            # Half an entry would hide all that follow.
             self._file.truncate(end)
             raise TermselError(
                 f"the change could not be saved: {error.strerror or error}", file=self._path,
@@ -85,6 +87,7 @@ def open_journal(folder: Path) -> Iterator[
                                hint="Choose another --out.") from error
         with file, _unless_empty(file, path):
             entries, length = read_entries(file, path)
+            # What a crash has cut off was never confirmed on the page.
             file.truncate(length)
             journal = Journal(file, path)
             if not entries:
@@ -99,6 +102,7 @@ def _unless_empty(file: FileIO, path: Path) -> Iterator[None]:
     try:
         yield
     finally:
+        # Opened for nothing, as where an image cannot be read.
         if not os.fstat(file.fileno()).st_size:
             path.unlink(missing_ok=True)
 
@@ -118,6 +122,7 @@ def header_of(folder: Path) -> dict[str, Any]:
 
 
 def _without_links(name: str, flags: int) -> int:
+    # A link in a folder of strangers could lead anywhere; Windows has no such flag.
     return os.open(name, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)
 
 
@@ -153,6 +158,7 @@ def replayed(entries: list[dict[str, Any]], path: Path) -> ControlFeatures:
     """Return the features after all changes of a journal."""
     control = ControlFeatures()
     repeated = 0
+    # Line 1 is the header.
     for number, entry in enumerate(entries, 2):
         try:
             if "undo" in entry:

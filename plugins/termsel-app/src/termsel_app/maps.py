@@ -53,6 +53,7 @@ class MapRaster:
         refuse_giant(path)
         self.raster = Raster(path, remote)
         dataset = self.raster.dataset
+        # GDAL gives the identity where there is no geotransform.
         if dataset.transform.is_identity:
             self.close()
             raise TermselError("this map is not georeferenced", file=path,
@@ -97,6 +98,7 @@ class MapRaster:
         west, south, east, north = box
         dataset = self.raster.dataset
         transform = dataset.transform
+        # North up and in the same CRS: a tile is a window of the raster.
         upright = transform.b == transform.d == 0 and transform.e < 0
         if upright and between(self.crs, crs) is None:
             return self.raster.pixels(((transform.f - north) / -transform.e,
@@ -104,6 +106,7 @@ class MapRaster:
                                        (north - south) / -transform.e,
                                        (east - west) / transform.a), (TILE, TILE))
         target = Affine(((east - west) / TILE), 0, west, 0, (south - north) / TILE, north)
+        # Centres of the tile's pixels.
         rows, columns = np.mgrid[0:TILE, 0:TILE] + 0.5
         return self._resampled(target @ (columns.ravel(), rows.ravel()), crs)
 
@@ -183,6 +186,7 @@ class Maps:
     def resolutions(self, box: Box) -> list[float]:
         """Return the sizes of a pixel of tiles of all levels, the coarsest first."""
         width = max(box[2] - box[0], box[3] - box[1], 1e-9)
+        # Some levels finer than any raster, as points are measured within its pixels.
         finest = min((raster.resolution(self.shown) for raster in self.rasters),
                      default=width / 4096) / 2**FINER
         levels = max(int(np.ceil(np.log2(width / TILE / finest))), 0) + 2
@@ -200,6 +204,7 @@ def open_maps(names: Sequence[str], crs: str | None, remote: bool) -> Maps:
         for name in names:
             if not is_tiles(name) and not is_vector(name):
                 rasters.append(MapRaster(name, remote, crs))
+        # Tiles exist in web Mercator only, so all else follows them.
         tiles = [name for name in names if is_tiles(name)]
         vectors = [_layer_of(name) for name in names if not is_tiles(name) and is_vector(name)]
         stated = [raster.crs for raster in rasters]
@@ -240,6 +245,7 @@ def _shown(name: str, shapes: Any, crs: str | None, page_crs: str) -> VectorLaye
         raise TermselError(f"this layer has {count:,} vertices, and the page shows at most "
                            f"{MOST_VERTICES:,}", file=name,
                            hint="Cut out the area, for example with ogr2ogr -spat.")
+    # The page draws plane coordinates: it transforms nothing.
     transformer = between(normalise(crs), page_crs)
     shapes = shapely.transform(shapes, lambda xy: turned(transformer, xy))
     features = [{"type": "Feature", "properties": {}, "geometry": shapely.geometry.mapping(shape)}

@@ -87,6 +87,7 @@ def read_spec(file: Path) -> Spec:
 
 def spec_of(table: Mapping[str, Any], places: Places | None = None) -> Spec:
     """Return what a table of names, options and budgets asks for, checked."""
+    # From Python there are no lines to name.
     at = places or Places()
     # From here on a study from Python is as one from a file.
     table = {key: _as_in_a_file(value) for key, value in table.items()}
@@ -99,6 +100,7 @@ def spec_of(table: Mapping[str, Any], places: Places | None = None) -> Spec:
     named = [kind for kind in ("models", "solvers", "criteria") if components[kind]]
     # Who names methods or limits of a search asks for one; a timeout is of auto, too.
     searched = named or {**budget, "timeout": None} != {"timeout": None}
+    # What nobody uses is refused, lest a study seems to compare it.
     if strategies == ("auto",) and named:
         raise at.error((named[0],), f"the strategy auto chooses the method itself, and {named[0]} "
                        "are given", "Leave one of them out, or add the strategy as-asked.")
@@ -163,6 +165,7 @@ def _parts(at: Places, kind: str, listed: Any) -> tuple[PartSpec, ...]:
         if len(component.label) > _MAX_LABEL_LENGTH or not is_printable(component.label):
             raise at.error(path, f"the label {component.label!r:.60} has control characters, or "
                            f"more than {_MAX_LABEL_LENGTH}", "Give a short label of plain text.")
+        # Tables name a cell by its labels.
         if any(earlier.label == component.label for earlier in components):
             raise at.error(path, f"{kind} has {component.label!r} twice",
                            'Give each its own label: {name = "...", label = "..."}.')
@@ -182,6 +185,7 @@ def _part(at: Places, path: Keys, declared: Any) -> PartSpec:
         label = ", ".join([declared.name, *settings])
         return PartSpec(declared.name, label, path=path, thing=declared)
     if not isinstance(declared, Mapping):
+        # Classes, recipes and methods have names, too.
         name = getattr(declared, "name", None)
         if not isinstance(name, str):
             raise at.error(path, f"{declared!r} is neither a name nor a table",

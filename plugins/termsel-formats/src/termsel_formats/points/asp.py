@@ -57,6 +57,7 @@ class AspGcp(Reader):
     def sniff(self, path: Path, head: bytes) -> bool:
         """Return True if the first row that is not a comment has the cells of a point."""
         text = head.decode("utf-8-sig", errors="replace")
+        # Other programs' .gcp files have fewer cells, and no name among them.
         first = next((line for line in text.splitlines() if not _idle(line)), "")
         cells = _cells(first)
         return (_fits(cells) and all(map(is_number, cells[:7] + cells[8:12]))
@@ -67,10 +68,12 @@ class AspGcp(Reader):
         points = _rows(path)
         names = chain.from_iterable(images for _, _, images in points)
         image = image_of(path, names, self.options["image_name"], "image_name=NAME")
+        # A point need not be in every image.
         rows = [(number, *ground, image, *images[image])
                 for number, ground, images in points if image in images]
         lines, ids, *columns = zip(*rows, strict=True)
         name_of = _names(path)
+        # Comments of termsel keep the names that ASP cannot.
         columns.insert(0, tuple(name_of.get(cell, cell) for cell in ids))
         cells_of = dict(zip(_GROUND + _IMAGE, columns, strict=True))
         table = Table(path, "", _READ, {key: cells_of[name] for key, name in _READ.items()},
@@ -163,6 +166,7 @@ class AspGcpWriter(PointsWriter):
                 points.ids, numbers, *columns, strict=True):
             if number != name:
                 rows.append(f"# id {number} is {' '.join(name.split())}")
+            # A check point takes no part: bundle_adjust must not hold it.
             sigma_of_ground = _FREE if is_check else sigma_ground
             sigmas = " ".join([repr(sigma_of_ground)] * 3)
             rows.append(f"{number} {y!r} {x!r} {z!r} {sigmas} {image} {sample!r} {line!r} "
@@ -173,6 +177,7 @@ class AspGcpWriter(PointsWriter):
 
 def _ids(names: tuple[str, ...]) -> tuple[str, ...]:
     """Return names that all are whole numbers, else numbers from 1."""
+    # bundle_adjust leaves out rows whose ids are no whole numbers.
     are_numbers = all(name.isascii() and name.isdecimal() and str(int(name)) == name
                 and int(name) <= _LARGEST_ID for name in names)
     return names if are_numbers else tuple(str(number) for number in range(1, len(names) + 1))

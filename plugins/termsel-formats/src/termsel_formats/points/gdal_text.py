@@ -62,6 +62,7 @@ class GdalOptions(Reader):
         command = commands[image]
         table = []
         for matched in _OPTION.findall(command):
+            # The height is the last number, and may be missing.
             sample, line, x, y, *height = (float(number) for number in matched if number)
             table.append((line - CORNER, sample - CORNER, x, y,
                           height[0] if height else np.nan))
@@ -107,6 +108,7 @@ class GdalinfoText(Reader):
 
     def sniff(self, path: Path, head: bytes) -> bool:
         """Return True for what gdalinfo prints of GCPs."""
+        # JSON and text of the same program; either may be saved.
         text = head.decode("utf-8", "replace")
         return _PRINTED.search(text) is not None or (
             text.lstrip("\ufeff \t\r\n").startswith("{") and '"gcpList"' in text
@@ -120,6 +122,7 @@ class GdalinfoText(Reader):
         if not rows:
             raise TermselError("gdalinfo shows no ground control points here", file=path,
                                hint="Give what it prints of an image that has some.")
+        # GDAL counts from the corner of the first pixel.
         table = [(line - CORNER, sample - CORNER, *ground) for sample, line, *ground in rows]
         return FeatureSet(points_of(path, ids, table), crs=_readable(crs), image_size=size)
 
@@ -154,6 +157,7 @@ def _of_json(path: Path, text: str) -> _Printed:
         size = content.get("size")
         lines_samples = (int(size[1]), int(size[0])) if size else None
     except TermselError as error:
+        # The reader of JSON does not know the file.
         error.file = path
         raise
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
@@ -183,6 +187,7 @@ class GdalOptionsWriter(PointsWriter):
         checked = checked_points(result)
         require_points(checked, path, self.needs)
         crs = horizontal(result.features.crs)
+        # A WKT has quotation marks of its own.
         rows = [f'-a_srs "{crs}"' if '"' not in crs else f"-a_srs '{crs}'"]
         for (line, sample), (x, y, z) in zip(checked.points.image.tolist(),
                                              checked.points.ground.tolist(), strict=True):

@@ -55,6 +55,7 @@ class OdmGcpList(Reader):
         """Return True for a CRS and rows of five numbers and the name of an image."""
         rows = [text.strip() for text in head.decode("utf-8-sig", errors="replace").splitlines()
                 if text.strip()]
+        # The head may be cut within a row: the first of them is whole.
         return len(rows) > 1 and _CRS_LINE.match(rows[0]) is not None \
             and _is_mark(next((row for row in rows[1:] if not row.startswith("#")), "").split())
 
@@ -69,10 +70,12 @@ class OdmGcpList(Reader):
         for meaning, name in _MEANINGS.items():
             columns[meaning] = [_known_height(cells[_ODM_COLUMNS.index(name)]) for cells in rows]
         names = dict(_MEANINGS)
+        # Names are optional; where one row lacks its name, all are numbered.
         if all(len(cells) > 6 for cells in rows):
             columns["id"] = [cells[6] for cells in rows]
             names["id"] = "gcp_name"
         table = Table(path, crs, names, columns, lines)
+        # Check points of OpenDroneMap take no part, as independent points.
         roles = ["independent" if name.startswith(_CHECK) else "" for name in columns.get("id", ())]
         return FeatureSet(table.points(table.stack("line", "sample"), table.stack("x", "y", "z"),
                                        None, roles), crs=crs)
@@ -89,6 +92,7 @@ def _marks(path: Path) -> tuple[str, list[tuple[int, list[str]]]]:
             if text.strip()]
     if not rows:
         raise TermselError("the file is empty", file=path, hint=_HINT)
+    # The CRS stands first, with or without a #.
     number, first = rows[0]
     try:
         crs = normalise(first.removeprefix("#").strip())
@@ -147,6 +151,7 @@ class OdmGcpListWriter(PointsWriter):
                 checked.points.ids, checked.points.image.tolist(), checked.points.ground.tolist(),
                 checked.is_check, strict=True):
             label = _word(f"{_CHECK}{name}" if is_check and not name.startswith(_CHECK) else name)
+            # NaN is how the list states an unknown height.
             x, y, z = (repr(value) if value == value else "NaN" for value in position)
             rows.append(f"{x} {y} {z} {sample!r} {line!r} {image} {label}")
         write_text(path, "\n".join([*rows, ""]))
@@ -160,6 +165,7 @@ class OdmGcpListWriter(PointsWriter):
 def _crs_line(crs: str) -> str:
     """Return the first line of a list: a code of EPSG, else a string of PROJ."""
     plane = horizontal(crs)
+    # OpenDroneMap reads no compound CRS.
     if plane.startswith("EPSG:") and "+" not in plane:
         return plane
     with requires("gcp_list.txt in this CRS requires", "pyproj", GIS):

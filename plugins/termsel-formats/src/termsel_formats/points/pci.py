@@ -44,6 +44,7 @@ class PciGcp(Reader):
 
     def sniff(self, path: Path, head: bytes) -> bool:
         """Return True for lines of an id and four or five numbers in a file that ends in .gcp."""
+        # Rows of numbers alone could be anything: the ending has to tell.
         if path.suffix.lower() != ".gcp":
             return False
         rows = [row for _, row in _rows(head.decode("utf-8", "replace").rpartition("\n")[0])]
@@ -57,6 +58,7 @@ class PciGcp(Reader):
         if not rows:
             raise TermselError("this file has no points", file=path,
                                hint="A line is ID P L X Y Z.")
+        # The first row decides what fields there are; all others must have them.
         fields = self._fields(path, rows[0][1])
         for number, row in rows:
             if len(row) != len(fields):
@@ -76,6 +78,7 @@ class PciGcp(Reader):
                                        hint="Write G, C or I.")
             columns["role"] = [_ROLES[status] for status in columns["role"]]
         table = Table(path, "", {name: name for name in columns}, columns, lines)
+        # PCI counts from the corner of the first pixel.
         image = table.stack("line", "sample") - CORNER
         sigma = table.sigma("sigma_line", "sigma_sample") \
             if {"sigma_line", "sigma_sample"} <= set(columns) else None
@@ -86,6 +89,7 @@ class PciGcp(Reader):
         """Return what the fields of a line are, by the option or by their number."""
         layout = re.sub(r"[\s,]", "", str(self.options["layout"]))
         if not layout:
+            # A status of a letter ends the row, if there is one.
             status = first[-1] in _ROLES
             usual = _USUAL_COLUMNS.get(len(first) - status)
             if usual is None:
@@ -137,6 +141,7 @@ class PciGcpWriter(PointsWriter):
         """Write the text."""
         self.require(result, path)
         points = chosen_points(result)
+        # All rows have the same fields: one unknown height leaves out all.
         heights = not np.isnan(points.ground[:, 2]).any()
         status = {role: letter for letter, role in _ROLES.items()}
         rows = []
