@@ -3,7 +3,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 
 const page = new URL(process.env.TERMSEL_PAGE);
-const { coordinate, pixel, sized } = await import(new URL("panel.js", page).href);
+const { coordinate, measurement, pixel, sized } = await import(new URL("panel.js", page).href);
 const { Refusal, call, newest } = await import(new URL("server.js", page).href);
 
 test("sizes have three digits", () => {
@@ -14,6 +14,11 @@ test("sizes have three digits", () => {
 test("degrees have six digits, metres two, and what is not known is blank", () => {
   assert.deepEqual([48.5, 512300.5, 0, null, undefined].map(coordinate), ["48.500000", "512300.50", "0.00", "", ""]);
   assert.deepEqual([1.005, undefined, null].map(pixel), ["1.00", "", ""]);
+});
+
+test("fields show a thousandth of a pixel, a millimetre, and nine digits of a degree", () => {
+  assert.deepEqual([measurement(67.90031014, true), measurement(271576.04135947884, false), measurement(48.516123456789, false),
+    measurement(null, true)], ["67.9", "271576.041", "48.516123457", ""]);
 });
 
 test("what is refused says what to do", async () => {

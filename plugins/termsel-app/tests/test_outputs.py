@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -101,6 +102,29 @@ def test_lines_are_chosen_from_six_on(scene: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr("termsel_app.quality.chosen_lines", lambda _: {"chosen": None, "text": ""})
     assert "lines" not in stages(5)
     assert "lines" in stages(8)
+
+
+def test_a_result_of_the_same_control_is_not_computed_again(
+        scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def run(arguments: Sequence[str], folder: Path) -> None:
+        calls.append(arguments[0])
+        if arguments[0] == "run":
+            (folder / "result").mkdir(exist_ok=True)
+            (folder / "result" / "result.json").write_text("{}")
+
+    calls: list[str] = []
+    monkeypatch.setattr("termsel_app.outputs.call", run)
+    given = Files(str(scene / "scene.tif"), points=str(scene / "twelve.csv"))
+    with open_session(given, tmp_path / "s") as session:
+        for name in ("map", "rpc", "result"):
+            save(session, name)
+        assert calls == ["run", "rectify", "export"]
+        session.put({"id": next(iter(session.control.records)), "role": "off"})
+        save(session, "report")
+        assert calls[3:] == ["run", "report"]
+        (tmp_path / "s" / "result" / "result.json").write_text("another")
+        save(session, "result")
+        assert calls[5:] == ["run"]
 
 
 def test_only_what_is_listed_is_saved(tmp_path: Path) -> None:

@@ -39,21 +39,21 @@ class Output:
 
 
 OUTPUTS = {
-    "points": Output("Points (CSV)", ("points.csv",), needs_result=False),
-    "result": Output("Result folder", (RESULT,)),
-    "qgis-points": Output("QGIS .points", ("control.points",), (
-        "export", RESULT, "--to", "qgis-points", "--output", "control.points", "--overwrite")),
-    "gpkg": Output("GeoPackage", ("control.gpkg",), (
-        "export", RESULT, "--to", "residuals-gpkg", "--output", "control.gpkg", "--overwrite")),
-    "annotation": Output("IIIF annotation", ("annotation.json",), (
-        "export", RESULT, "--to", "georeference-annotation", "--output", "annotation.json",
-        "--overwrite")),
     "map": Output("Map (cloud-optimised GeoTIFF)", ("map.tif",), (
         "rectify", RESULT, "{image}", "--output", "map.tif", "--overwrite")),
     "rpc": Output("RPC", ("image_RPC.TXT",), (
         "export", RESULT, "--to", "rpc-txt", "--output", "image_RPC.TXT", "--overwrite")),
     "report": Output("Report", ("report.html",), (
         "report", RESULT, "--output", "report.html", "--overwrite")),
+    "points": Output("Points (CSV)", ("points.csv",), needs_result=False),
+    "qgis-points": Output("QGIS .points", ("control.points",), (
+        "export", RESULT, "--to", "qgis-points", "--output", "control.points", "--overwrite")),
+    "gpkg": Output("GeoPackage", ("control.gpkg",), (
+        "export", RESULT, "--to", "residuals-gpkg", "--output", "control.gpkg", "--overwrite")),
+    "result": Output("Result folder", (RESULT,)),
+    "annotation": Output("IIIF annotation", ("annotation.json",), (
+        "export", RESULT, "--to", "georeference-annotation", "--output", "annotation.json",
+        "--overwrite")),
 }
 
 
@@ -93,7 +93,7 @@ def save(session: Session, name: str, image_id: object = None) -> list[Path]:
         arguments = run_arguments(session)
     files = [*written(features, session.folder).values()]
     if output.needs_result:
-        call(arguments, session.folder)
+        _update_result(session, arguments, files)
     if output.command:
         arguments = completed(output.command, session.files, session.folder)
         if name == "annotation":
@@ -103,6 +103,32 @@ def save(session: Session, name: str, image_id: object = None) -> list[Path]:
     if name == "points":
         return files
     return [session.folder / path for path in output.names]
+
+
+def _update_result(session: Session, arguments: list[str], tables: Sequence[Path]) -> None:
+    """Run the command that writes the folder of the result, unless it is of this very control."""
+    control = tuple(table.read_bytes() for table in tables)
+    made_from = (*arguments, *control, *_states(session))
+    # A file within an archive, or on a server, may change unseen.
+    if None in made_from or session.result_made_from != made_from:
+        call(arguments, session.folder)
+        session.result_made_from = (*arguments, *control, *_states(session))
+
+
+def _states(session: Session) -> list[tuple[int, int] | None]:
+    """Return time and size of each file that a result is made from, and of the result itself."""
+    files = session.files
+    names = [name for name in (files.image, files.rpc, files.dem)
+             if name is not None and not is_iiif(name)]
+    states: list[tuple[int, int] | None] = []
+    for path in (*map(Path, names), session.folder / RESULT / "result.json"):
+        try:
+            state = path.stat()
+        except OSError:
+            states.append(None)
+        else:
+            states.append((state.st_mtime_ns, state.st_size))
+    return states
 
 
 def _of_image(image_id: object) -> list[str]:

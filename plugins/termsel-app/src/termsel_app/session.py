@@ -142,6 +142,8 @@ class Session:
     tell: Callable[[dict[str, Any]], None] = lambda _: None
     lock: RLock = field(default_factory=RLock)
     worker: Worker | None = None
+    result_made_from: tuple[object, ...] = ()
+    """Command, control and state of files of the result folder that this session wrote last."""
 
     @property
     def size(self) -> tuple[int, int] | None:

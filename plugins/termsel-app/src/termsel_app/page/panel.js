@@ -34,6 +34,12 @@ export function coordinate(value) {
   return value.toFixed(Math.abs(value) <= 360 && !Number.isInteger(value) ? 6 : 2);
 }
 
+/** A measurement in a field: what is left out is below anything that counts. @param {number | null | undefined} value @param {boolean} inImage */
+export function measurement(value, inImage) {
+  if (value === null || value === undefined) return "";
+  return Number(value.toFixed(inImage || Math.abs(value) > 360 ? 3 : 9)).toString();
+}
+
 /** A place in the image. @param {number | undefined} value */
 export const pixel = value => value === undefined || value === null ? "" : value.toFixed(2);
 
@@ -151,10 +157,10 @@ export function showSelected(record, error, own, acts) {
     ...field("field-id", "Id", record.id, value => acts.put({ name: value })),
     make("label", { for: "field-role", textContent: "Role" }), role];
   if (record.kind === "point") {
-    const values = { line: record.image?.[0], sample: record.image?.[1], x: record.ground?.[0], y: record.ground?.[1],
-      z: record.ground?.[2] };
+    const values = measured(record);
     for (const [key, label] of FIELDS) {
-      children.push(...field(`field-${key}`, label, values[key] ?? "", () => acts.put(typed(record))));
+      const text = measurement(values[key], key === "line" || key === "sample");
+      children.push(...field(`field-${key}`, label, text, () => acts.put(typed(record))));
     }
   }
   if (error) {
@@ -183,10 +189,21 @@ function missingEnds(record) {
   return "";
 }
 
+/** The measurements of a point, by the names of their fields. @param {any} record @returns {Record<string, number | null | undefined>} */
+function measured(record) {
+  return { line: record.image?.[0], sample: record.image?.[1], x: record.ground?.[0], y: record.ground?.[1], z: record.ground?.[2] };
+}
+
 /** What the form says of a point; blank fields are not known. @param {any} record */
 function typed(record) {
   const text = key => byId(`field-${key}`).value.trim();
-  const number = key => text(key) === "" ? null : Number(text(key).replace(",", "."));
+  const values = measured(record);
+  const number = key => {
+    if (text(key) === "") return null;
+    // A field that nobody changed shows fewer digits than the measurement has.
+    const isUnchanged = text(key) === measurement(values[key], key === "line" || key === "sample");
+    return isUnchanged ? values[key] ?? null : Number(text(key).replace(",", "."));
+  };
   /** @type {{image?: any, ground?: any}} */
   const given = {};
   if (text("line") !== "" && text("sample") !== "") given.image = [number("line"), number("sample")];
