@@ -36,8 +36,8 @@ it can be off as a whole, so that the figure of one kind varies by itself. Times
 ## What the bound says
 
 - A pair with control in one image cannot hold the other: rays of two images meet at any height. The
-  other image is off by the vendor's bias along the rays, but for what the ground's height tells. On
-  a plain control tells that height, in hills a DEM does.
+  other image is off by the vendor's bias along the rays, unless the height of the ground is known:
+  on a plain from control, in hills from a DEM.
 - In a triplet with control in two images, the third is as good as its view is near theirs. If its
   view lies outside the two, their errors grow on the way to it: then the bound is 1.3 times what
   six own points give, and 1.0 with twenty points in either image. If its view lies between, the

@@ -390,8 +390,8 @@ A better search does not give a better result here, nor over
 
 An RFM has 20 terms in each numerator and 19 in each denominator, so 39 for line and 39 for sample.
 A selection is fitted to the control points and judged by the RMSE at the check points. With up to
-16 terms an axis, two thirds of its equations, there are {subsets:,} selections. Poles rule
-some out: no denominator may be near zero at a point.
+16 terms per image coordinate, two thirds of its equations, there are {subsets:,} selections.
+Poles rule some out: no denominator may be near zero at a point.
 
 ## Proof
 
@@ -441,7 +441,7 @@ CARRIED = f"""## How far the bounds carry
 
 The gap of a proof that was ended early depends on what is ruled out by then. Below, all selections
 better than a share of the optimum are ruled out on each axis; the work is processor time, from
-{PIECES} pieces of the search an axis, with its standard error.
+{PIECES} pieces of the search per image coordinate, with its standard error.
 A gap of a few per cent takes nearly the whole proof. So `exact` first proves a wide gap, then all.
 """
 
@@ -453,7 +453,8 @@ and an RMSE at the new points of {independent} px.
 
 SECOND = """## Other scenes
 
-One scene may be an accident. With an RFM of second order, 19 terms an axis, the proof takes a
+One scene may be an accident. With an RFM of second order, 19 terms per image coordinate, the
+proof takes a
 second. It was repeated on {scenes} simulated scenes of the same kind, with other terrain,
 points and errors.
 """
@@ -462,7 +463,7 @@ END = """
 ## Limits
 
 - One scene has a proof for the full RFM; [ten](overfitting.md) are searched. All are simulated.
-- The cap of 16 terms an axis is part of the claim. More terms leave less redundancy.
+- The cap of 16 terms per image coordinate is part of the claim. More terms leave less redundancy.
 - The proof is one of floating-point numbers: bounds allow for rounding, but are not
   interval arithmetic. [Certificates](../explanation/certificates.md) are, and reach smaller spaces.
 - The optimum holds for the ground coordinates as scaled: another origin has

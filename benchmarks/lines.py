@@ -260,7 +260,7 @@ ten is moved sideways by 4 to 15 px. `ikonos_lines` and `ventoux_lines` have rea
 simulated noise, and their draws differ in the roles of points.
 
 All ratios are independent RMSE divided by that of the best structure in hindsight, from affine to
-RFM, shrunken ones included, which is told the blunders and fitted to all right features. Columns
+RFM, regularised ones included, fitted without the blunders to all other features. Columns
 are medians over draws. *OWDIS* is `owdis-lines` by default, *as published* is the same with
 `--set blunders=keep`; both use no control points. *Huber* and *Tukey* are quadratic polynomials
 over lines and check points, as baselines have them. *Named* are blunders that auto leaves out,

@@ -33,8 +33,8 @@ WAYS: tuple[tuple[str, float, float], ...] = (
 WEIGHTED_SEEDS = (None, 101, 102, 103)
 """Scenes of the section on iterated adjustments."""
 SPACES: tuple[tuple[str, str, str, dict[str, Any]], ...] = (
-    ("2-D polynomial, 15 terms an axis", "poly-terms", "poly2d", {"degree": 4}),
-    ("RFM of second order, 19 terms an axis", "rfm-terms", "rfm", {"order": 2}),
+    ("2-D polynomial, 15 terms per image coordinate", "poly-terms", "poly2d", {"degree": 4}),
+    ("RFM of second order, 19 terms per image coordinate", "rfm-terms", "rfm", {"order": 2}),
     ("the same RFM of Legendre polynomials, an orthogonal basis", "rfm-terms", "rfm-legendre",
      {"order": 2}))
 
@@ -209,8 +209,8 @@ WEIGHTED = """
 With `--set weighted=true` each selection is adjusted by itself. Its equations are divided by its
 own denominators and solved again, until the distances in the image are least. So no weight is left
 that an origin could change. `exact` cannot prove such optima, as each selection has equations of
-its own; with a hierarchy all 9,025 selections of an axis are tried. Check RMSE: of the embedded
-scene; after it, the median of four scenes. The rest is of four scenes.
+its own; with a hierarchy all 9,025 selections of an image coordinate are tried. Check RMSE: of
+the embedded scene; after it, the median of four scenes. The rest is of four scenes.
 
 | coordinates | hierarchy: check [px] | terms in common | independent [px] | \
 hierarchy, weighted: check [px] | terms in common | independent [px] |

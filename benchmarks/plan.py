@@ -3,7 +3,7 @@
 ``python -m benchmarks.plan --write`` makes docs/evidence/plan.md. From a simulated scene some
 points are drawn, anywhere or in one half of the image. Five more are added: those that
 `termsel plan` ranks first, those in the largest gaps (each as far from all points as possible), or
-any. The shrunken cubic is fitted again, and compared with the true sensor all over the image.
+any. The regularised cubic is fitted again, and compared with the true sensor all over the image.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ LAYOUTS = ("anywhere", "one half")
 
 
 def fitted(points: Points) -> Fit:
-    """Return the shrunken cubic of points."""
+    """Return the regularised cubic of points."""
     candidate = named("shrunken-cubic")
     assert candidate is not None
     return termsel.fit(FeatureSet(replace(points, roles=())), candidate)
@@ -116,7 +116,7 @@ def main() -> None:
 Made by `python -m benchmarks.plan --write`: {asked.splits} splits of each embedded scene, which
 are simulated. {ADDED} of {CANDIDATES} possible places are measured in addition. The RMSE is that
 against the true sensor at {TRUTH} places all over the image [px], medians over the splits. The
-model is the shrunken cubic.
+model is the regularised cubic.
 
 ## Requirement and measurement
 

@@ -203,7 +203,8 @@ Made by `python -m benchmarks.regret --write`: {scenes} simulated scenes of `iko
 24 control and 24 check points, and {new:,} new points each. The *regret* of a choice is by how much
 its RMSE of new points is above that of the best selection in hindsight.
 
-An RFM of second order has 19 terms an axis, 1,048,576 selections of both. `exact` decides all of
+An RFM of second order has 19 terms per image coordinate, 1,048,576 selections of both. `exact`
+decides all of
 them by each criterion: the least check RMSE, or least `press`, `kfold` or `ebic` over control and
 check points together. All selections are then fitted to control and check points together, so that
 only the choice differs. In hindsight, `exact` minimises the RMSE of the new points.
@@ -217,7 +218,8 @@ JOINT = """
 ## Terms and features together
 
 In a space that is small enough every pair of selections is evaluated: an RFM of first order, seven
-terms an axis, and {few} control points, 4,017 selections of three or more. Line and sample have
+terms per image coordinate, and {few} control points, 4,017 selections of three or more. Line and
+sample have
 terms of their own for each selection of points. {scenes} scenes with {few} check points and {new}
 new points. *All terms* have no solution with fewer points than they need.
 """
@@ -226,7 +228,8 @@ END = """
 ## What is proven, and what is not
 
 - **`press` and `kfold` of rational functions** are decided by looking at every selection: a second
-  or two with 19 terms an axis. With 39 terms there are 2^39 an axis, a week or more. *There is
+  or two with 19 terms per image coordinate. With 39 terms there are 2^39 per image coordinate, a
+  week or more. *There is
   no bound, for a reason.* A fold is predicted by the fit to the others, so each fold has a fit and
   denominators of its own. A bound for open terms would be a sum of bounds, one for each fold. That
   of `check-rmse` is strong because all check points are predicted by one fit on one sphere. A fold

@@ -31,7 +31,7 @@ can tell it within seconds; its interval is that of Wilson. Solvers without chan
 not refined. The independent RMSE, evaluations and CPU seconds are medians. `exact` has a section of
 its own: it decides most selections without an evaluation, so its evaluations do not tell its cost.
 The optimum of `rfm-terms` is proven by a run of its own, as it takes minutes: no selection of up to
-16 terms an axis is below 0.7201 px. Its RMSE of 1,000 new points is 1.021 px.
+16 terms per image coordinate is below 0.7201 px. Its RMSE of 1,000 new points is 1.021 px.
 
 **A lower fitness is not a better model: compare the independent RMSE.** A solver for several
 objectives spends its evaluations on a whole front; the table shows the member of least fitness.

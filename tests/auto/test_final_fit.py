@@ -105,7 +105,7 @@ def test_a_search_has_no_final_fit() -> None:
     assert found.final is None
     assert found.to_dict()["exported"] == "selection"
     assert found.as_exported() is found
-    with pytest.raises(termsel.TermselError, match="no final fit"):
+    with pytest.raises(termsel.TermselError, match="no fit to all points"):
         found.as_exported(True)
 
 

@@ -326,7 +326,7 @@ def test_a_name_is_no_text_of_a_licence(tmp_path: Path) -> None:
     (["--package", "no_such_module"], "cannot be imported"),
     (["--package", "json:nothing"], "no function 'nothing'"),
     (["--sets", "moon"], "unknown set 'moon'"), (["--alone"], "no method to run"),
-    (["--set", "degree=2"], "--set is an option of no method"),
+    (["--set", "degree=2"], "--set has no method to set options of"),
     (["--problem", "rfm-terms"], "--problem is for solvers"),
     (["--check", ".", "--alone", "--model", "affine"], "goes with no method")])
 def test_bad_requests_are_refused_at_once(

@@ -234,9 +234,9 @@ def read_data(path: Path) -> bytes:
     try:
         # Before it is read: a sparse file may claim more than there is memory.
         if path.stat().st_size > MAX_FILE_BYTES:
-            raise TermselError(f"this file has more than {MAX_FILE_BYTES >> 20} MiB, too many for "
-                               "a text or table that is read at once", file=path,
-                               hint="Divide it, or give a raster as a raster.")
+            raise TermselError(f"this file is larger than {MAX_FILE_BYTES >> 20} MiB, the most that "
+                               "is read of a text or table", file=path,
+                               hint="Split it. An image is given with --image, a DEM with --dem.")
         return path.read_bytes()
     except OSError as error:
         raise _unreadable(path, error) from error

@@ -297,9 +297,9 @@ class Result(Glance):
         # Nothing to choose between: the only fit is exported.
         if self.final is None:
             if final:
-                raise TermselError("this result has no final fit",
-                                   hint="The strategy auto makes one if there are independent "
-                                        "check points. Leave --final out.")
+                raise TermselError("this result has no fit to all points (--final)",
+                                   hint="Leave --final out: only the automatic choice makes such a "
+                                        "fit, where there are independent check points.")
             return self
         # The other fit is exported, and the final one forgotten.
         if final is False:

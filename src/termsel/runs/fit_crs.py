@@ -107,8 +107,8 @@ def fit_crs_of(choice: str, control: FeatureSet) -> str:
     if choice == POLAR:
         return polar_crs(control.crs, float(np.median(_places(control)[:, 1])))
     if (body := body_of(control.crs)) != EARTH:
-        raise TermselError(f"geocentric coordinates are known of {EARTH} alone, and the control "
-                           f"is on {body}", hint="Fit in geodetic or projected coordinates.")
+        raise TermselError(f"geocentric coordinates are for {EARTH} only, and the control is on "
+                           f"{body}", hint="Fit in geodetic or projected coordinates.")
     return "EPSG:4978"
 
 

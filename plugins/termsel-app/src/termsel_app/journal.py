@@ -138,11 +138,14 @@ def read_entries(file: FileIO, path: Path) -> tuple[list[dict[str, Any]], int]:
         try:
             entry = json.loads(line)
         except (ValueError, RecursionError) as error:
-            raise TermselError(f"this is no entry of a session: {error}", file=path, line=number,
+            raise TermselError(f"this line is not an entry of a session: {error}",
+                               file=path, line=number,
                                hint="Was the file edited? Remove the line, or choose another "
                                     "--out.") from error
         if not isinstance(entry, dict):
-            raise TermselError("this is no entry of a session", file=path, line=number)
+            raise TermselError("this line is not an entry of a session", file=path, line=number,
+                               hint="Was the file edited? Remove the line, or choose another "
+                                    "--out.")
         entries.append(entry)
     return entries, length
 

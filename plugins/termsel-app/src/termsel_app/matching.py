@@ -129,7 +129,8 @@ def _windows(session: Session, prediction: Prediction, record: Record) -> tuple[
         map_window = _seen(raster, on_map, session.maps.shown, width)
         if map_window[1].mean() > 0.5:
             return Window(*_grey(picture)), Window(*map_window)
-    raise TermselError("no raster of the map shows this position")
+    raise TermselError("no raster of the map shows this position",
+                       hint="Refine points that lie on a raster; keep this one as it was clicked.")
 
 
 def _seen(raster: MapRaster, on_map: FloatArray, page_crs: str, width: int) -> tuple[Any, Any]:

@@ -192,7 +192,8 @@ class Session:
                 raise TermselError(f"there is a feature {name!r} already",
                                    hint="Choose another name.", ids=[name])
         if len(self.control.records) + len(patches) > MAX_FEATURES:
-            raise TermselError(f"a session has at most {MAX_FEATURES:,} features")
+            raise TermselError(f"a session has at most {MAX_FEATURES:,} features",
+                               hint="Give so many as a table: termsel run --points FILE.")
 
     def undo(self) -> None:
         """Take back the last change."""
@@ -288,8 +289,9 @@ class Session:
         ground = self.places.to_ground(xy)
         # Outside the area of a projection places have no coordinates.
         if not np.isfinite(ground[:, :2]).all():
-            raise TermselError(f"this place has no coordinates in {self.places.crs}",
-                               hint="Choose a position within its area.")
+            raise TermselError(f"{self.places.crs} has no coordinates for this position",
+                               hint="Choose a position within the area of this CRS, or start "
+                                    "again with another --crs.")
         return [[x, y, None if z != z else z] for x, y, z in ground.tolist()]
 
     def put(self, values: Mapping[str, Any]) -> str:
@@ -337,7 +339,8 @@ class Session:
         """Add points with both places, as one change; return how many."""
         if not isinstance(points_given, list) or not all(
                 isinstance(point, dict) for point in points_given):
-            raise TermselError("these are no points")
+            raise TermselError("points were expected",
+                               hint="Give a list of objects with line, sample, x and y.")
         with self.lock:
             patches = []
             number = int(self.control.new_id("point")[1:])

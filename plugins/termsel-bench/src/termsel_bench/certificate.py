@@ -97,8 +97,8 @@ def certifier(problem: Problem, rooms: Sequence[int],
                 file.write_text(text, encoding="utf-8")
                 _, open_ = check(file)
         except (Refused, ValueError, OSError, TermselError) as error:
-            log.warning("no certificate is written: %s. The search has its proof in floating-point "
-                        "numbers", str(error).rstrip("."))
+            log.warning("no certificate is written: %s. The proof of the search stands, but only "
+                        "in floating-point arithmetic", str(error).rstrip("."))
             return None
         if open_:
             log.warning("the tree of the certificate is full, and %s selections are left open; it "

@@ -111,7 +111,7 @@ def _own_methods(names: Sequence[str], solvers: Sequence[str], problem: str | No
     from termsel_bench.methods.base import Method
 
     if options and not solvers and not models:
-        raise TermselError("--set is an option of no method", hint="Add --solver or --model.")
+        raise TermselError("--set has no method to set options of", hint="Add --solver or --model.")
     # A problem without a solver would silently be ignored.
     if problem and not solvers:
         raise TermselError("--problem is for solvers", hint="Add --solver NAME.")

@@ -142,7 +142,8 @@ def check(submitted: Submitted, pattern: str = "", *, processes: int = 1) -> Che
     """
     names = [name for name in submitted.rmse if pattern in name]
     if not names:
-        raise TermselError(f"{submitted.path} has no set {pattern!r}", hint="Name another.")
+        raise TermselError(f"{submitted.path} has no set {pattern!r}",
+                           hint=f"It has {', '.join(submitted.rmse)}.")
     refuted = []
     worst = 0.0
     for repeated_score in scores([submitted.method], names, processes=processes):

@@ -249,8 +249,8 @@ def match_ties(images: tuple[Path, ...], dem: Path, output: Path, overwrite: boo
     ties.write(output)
     click.echo(ties.text(), nl=False)
     click.echo(f"Written: {output}", err=True)
-    click.echo("Next: name it as ties in a block.toml, and termsel block block.toml --out DIR",
-               err=True)
+    click.echo("Next: name this file as ties in block.toml, then: termsel block block.toml "
+               "--out DIR", err=True)
 
 
 @click.command("auto-georeference")

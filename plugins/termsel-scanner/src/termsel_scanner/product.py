@@ -126,7 +126,8 @@ def content_of(path: Path) -> bytes:
             data = file.read(LARGEST + 1)
     except _BROKEN as error:
         raise TermselError(f"{member} cannot be read in this zip: {error}", file=archive,
-                           hint="Load the product down again.") from error
+                           hint="It is incomplete or damaged: download the product again."
+                           ) from error
     if len(data) > LARGEST:
         raise TermselError(f"{member} has more than {LARGEST >> 20} MiB", file=archive, hint=HINT)
     return data

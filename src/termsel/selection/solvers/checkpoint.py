@@ -91,7 +91,8 @@ class Checkpoint:
                 self.path.write_bytes(head + b"\n")
         except OSError as error:
             raise TermselError(f"the checkpoint cannot be used: {error.strerror or error}",
-                               file=self.path) from error
+                               file=self.path, hint="Check the name and the permissions of the "
+                               "file, and free space, or name another.") from error
 
     def _read(self, lines: Sequence[bytes]) -> None:
         """Take the lines of an earlier process."""

@@ -22,6 +22,9 @@ export function make(tag, properties = {}, children = []) {
   return element;
 }
 
+/** What the page calls the roles of files and options. @type {Record<string, string>} */
+const ROLES = { control: "control", check: "selection", independent: "independent check", off: "off" };
+
 /** A size with three digits. @param {number} value */
 export function sized(value) {
   if (!Number.isFinite(value)) return "-";
@@ -150,7 +153,7 @@ export function showSelected(record, error, own, acts) {
     make("label", { for: id, textContent: label }),
     make("input", { id, value, autocomplete: "off", spellcheck: false, onchange: event => change(event.target.value.trim()) })];
   const roles = record.kind === "line" ? [["", "control"], ["off", "off"]]
-    : [["", "automatic"], ["control", "control"], ["check", "check"], ["independent", "independent"], ["off", "off"]];
+    : [["", "automatic"], ...Object.entries(ROLES)];
   const role = make("select", { id: "field-role", onchange: event => acts.put({ role: event.target.value }) },
     roles.map(([value, text]) => make("option", { value, textContent: text, selected: value === record.role })));
   const children = [
@@ -257,8 +260,8 @@ function tableRow(row, roles, lines, chosen, choose) {
   const { record } = row;
   const role = record.role || (record.kind === "line" ? "control" : roles[record.id] ?? "");
   const line = !lines || role === "off" ? `line, ${role}` : lines.includes(record.id) ? "line, used by OWDIS" : "line, not used by OWDIS";
-  const said = record.kind === "line" ? line : record.role || !role ? role
-    : role === "off" ? "left out as a blunder" : `${role} (automatic)`;
+  const said = record.kind === "line" ? line : record.role || !role ? ROLES[role] ?? ""
+    : role === "off" ? "left out as a blunder" : `${ROLES[role]} (auto)`;
   const number = (text, wrong = false) => make("td", { class: wrong ? "number wrong" : "number", textContent: text });
   return make("tr", {
     class: [record.id === chosen ? "chosen" : "", row.blunder ? "bad" : "", record.role === "off" ? "off" : ""].join(" "),

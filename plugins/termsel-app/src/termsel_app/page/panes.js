@@ -35,7 +35,8 @@ export class Pane {
     this.proposed = new ol.source.Vector();
     /** @type {any[]} */
     this.base = given.sources.map(source => new ol.layer.Tile({ source, maxTilesLoading: 8 }));
-    this.controlLayer = new ol.layer.Vector({ source: this.control, style: styleOf, zIndex: 9,
+    // Names give way to one another; what marks a place never does.
+    this.controlLayer = new ol.layer.Vector({ source: this.control, style: styleOf, zIndex: 9, declutter: true,
       updateWhileAnimating: true, updateWhileInteracting: true });
     const finest = given.resolutions[given.resolutions.length - 1];
     this.view = new ol.View({
@@ -211,11 +212,11 @@ function styleOf(feature, resolution) {
       colour));
   }
   if (chosen) {
-    styles.push(new ol.style.Style({ image: new ol.style.Circle({
+    styles.push(new ol.style.Style({ image: new ol.style.Circle({ declutterMode: "none",
       radius: 13, stroke: new ol.style.Stroke({ color: PREDICTED, width: 2 }) }) }));
   }
   if (blunder) {
-    styles.push(new ol.style.Style({ image: new ol.style.Circle({
+    styles.push(new ol.style.Style({ image: new ol.style.Circle({ declutterMode: "none",
       radius: 10, stroke: new ol.style.Stroke({ color: BLUNDER, width: 2.5 }) }) }));
   }
   styles.push(
@@ -229,7 +230,7 @@ function styleOf(feature, resolution) {
         stroke: new ol.style.Stroke({ color: HALO, width: 3.5 }),
       }),
     }),
-    new ol.style.Style({ image: new ol.style.Circle({
+    new ol.style.Style({ image: new ol.style.Circle({ declutterMode: "none",
       radius: 5, fill: record.role === "off" ? undefined : new ol.style.Fill({ color: `${colour}55` }),
       stroke: new ol.style.Stroke({ color: whole ? colour : PREDICTED, width: 1.6,
         lineDash: whole ? undefined : [3, 3] }) }) }),
@@ -239,7 +240,7 @@ function styleOf(feature, resolution) {
 
 /** @param {string} color @param {number} width */
 function cross(color, width) {
-  return new ol.style.RegularShape({ points: 4, radius: 9, radius2: 0, angle: 0,
+  return new ol.style.RegularShape({ declutterMode: "none", points: 4, radius: 9, radius2: 0, angle: 0,
     stroke: new ol.style.Stroke({ color, width }) });
 }
 
@@ -250,7 +251,7 @@ function arrow(start, end, color) {
   return [
     new ol.style.Style({ geometry: shaft, stroke: new ol.style.Stroke({ color: HALO, width: 4.5 }) }),
     new ol.style.Style({ geometry: shaft, stroke: new ol.style.Stroke({ color, width: 2.2 }) }),
-    new ol.style.Style({ geometry: new ol.geom.Point(end), image: new ol.style.RegularShape({
+    new ol.style.Style({ geometry: new ol.geom.Point(end), image: new ol.style.RegularShape({ declutterMode: "none",
       points: 3, radius: 6, rotation: Math.PI / 2 - turn, rotateWithView: true,
       fill: new ol.style.Fill({ color }), stroke: new ol.style.Stroke({ color: HALO, width: 1 }) }) }),
   ];
@@ -274,7 +275,7 @@ function lineStyles(feature, color, chosen, unused, name) {
 /** Places to measure next. @param {any} feature */
 function guideStyle(feature) {
   return new ol.style.Style({
-    image: new ol.style.RegularShape({ points: 4, radius: 11, angle: 0,
+    image: new ol.style.RegularShape({ declutterMode: "none", points: 4, radius: 11, angle: 0,
       fill: new ol.style.Fill({ color: "#ffffffe0" }), stroke: new ol.style.Stroke({ color: NEXT, width: 2.2 }) }),
     text: new ol.style.Text({ text: feature.get("label"), font: "700 11px system-ui, sans-serif",
       fill: new ol.style.Fill({ color: NEXT }) }),

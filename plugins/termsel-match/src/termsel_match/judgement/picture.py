@@ -43,8 +43,8 @@ def draw(image: Path | str, selected: Selected, path: Path) -> None:
         step = max(1, -(-max(picture.size) // _PICTURE_SIDE))
         grey = stretched(*picture.read(0, 0, *picture.size, step))
     if grey is None:
-        raise TermselError("the image has no texture to be drawn", file=image,
-                           hint="Is it empty?")
+        raise TermselError("all pixels of the image are alike or without data, so it cannot be "
+                           "drawn", file=image, hint="Give the image that was matched.")
     drawn = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
     points = selected.points
     agrees = selected.agrees

@@ -182,7 +182,7 @@ def match_ties(
                            hint="Give heights of the area by --dem.")
     if not rows:
         over = until is not None and monotonic() > until
-        raise TermselError("no two of the images have ties", file=paths[0],
+        raise TermselError("no ties were found between any two of the images", file=paths[0],
                            hint="There was no time. Give more --seconds." if over else
                            "Do they show the same ground? Give a larger --search, another "
                            "--matcher, or the right --dem.")
