@@ -234,8 +234,8 @@ def read_data(path: Path) -> bytes:
     try:
         # Before it is read: a sparse file may claim more than there is memory.
         if path.stat().st_size > MAX_FILE_BYTES:
-            raise TermselError(f"this file is larger than {MAX_FILE_BYTES >> 20} MiB, the most that "
-                               "is read of a text or table", file=path,
+            raise TermselError(f"this file is larger than {MAX_FILE_BYTES >> 20} MiB, the most "
+                               "that is read of a text or table", file=path,
                                hint="Split it. An image is given with --image, a DEM with --dem.")
         return path.read_bytes()
     except OSError as error:
