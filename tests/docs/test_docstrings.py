@@ -12,6 +12,8 @@ import pytest
 import termsel
 from termsel.results.result import Result
 
+WITH_EXAMPLES = [name for name in termsel.__all__
+                 if "\nExamples\n----" in (inspect.getdoc(getattr(termsel, name)) or "")]
 FUNCTIONS = [name for name in termsel.__all__ if inspect.isfunction(getattr(termsel, name))]
 
 
@@ -34,7 +36,7 @@ def test_a_result_documents_attributes() -> None:
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("name", FUNCTIONS)
+@pytest.mark.parametrize("name", WITH_EXAMPLES)
 def test_examples_show_what_is_printed(name: str, tmp_path: Path,
                                        monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)

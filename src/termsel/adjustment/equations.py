@@ -25,6 +25,14 @@ class Equations:
     prior : ndarray, shape (k,), optional
         Weights, as a factor of the row, of pseudo-observations that a coefficient is zero. They
         belong to no feature and are always in the adjustment. 0 for none.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import termsel
+    >>> equations = termsel.Equations(np.eye(2), np.ones(2), np.array([0, 0]))
+    >>> equations.A.shape
+    (2, 2)
     """
 
     A: FloatArray

@@ -33,6 +33,13 @@ class Adjustment:
         Of the selected coefficients; None where they are not determined, or not known.
     steps, converged
         Gauss-Newton steps, None where equations are exact, and whether they converged.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> fit = termsel.fit(termsel.simulate_scene("ikonos-hamedan"), "poly3d")
+    >>> fit.adjustment.n_terms, fit.adjustment.rank
+    (20, 20)
     """
 
     coefficients: FloatArray

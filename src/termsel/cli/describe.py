@@ -235,13 +235,16 @@ def _document(entry: Entry) -> None:
     thing = entry.object
     # Methods and criteria are objects, models and solvers classes.
     text = (thing if isinstance(thing, type) else type(thing)).__doc__
-    paragraphs = inspect.cleandoc(text or "").partition("\n\n")[2].strip()
+    # Examples are of Python; that of the command line stands above.
+    paragraphs = _EXAMPLE_SECTION.sub("", inspect.cleandoc(text or "")).partition("\n\n")[2].strip()
     if paragraphs:  # the first one is the summary
         echo("\n" + _HEADING.sub(r"\1:", paragraphs))
 
 
 _HEADING = re.compile(r"^(\w[\w ]*)\n-{3,}$", re.MULTILINE)
 """A heading of a docstring, as numpydoc underlines it."""
+_EXAMPLE_SECTION = re.compile(r"^Examples\n-{3,}\n.*?(?=^\w[\w ]*\n-{3,}$|\Z)", re.MULTILINE | re.DOTALL)
+"""The examples of a docstring, to the next heading or the end."""
 
 
 def _pairs(values: dict[str, Any]) -> None:

@@ -43,6 +43,15 @@ class TermselError(Exception):
     guesses : list of str
         Values of the option ``--columns`` that all fit, the one in `options` first, where nothing
         tells which of them is right.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> try:
+    ...     termsel.run("no-such-problem")
+    ... except termsel.TermselError as error:
+    ...     print(error.what)
+    unknown problem 'no-such-problem'
     """
 
     def __init__(

@@ -68,6 +68,12 @@ class Option:
         Whether studies, blocks, results and other files may set it; or the only values that they
         may give it. False for what names code: that do the command line and Python alone.
         No option names an output: outputs have names of their own within ``--out``.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> termsel.Option("degree", 3, "degree of the polynomial", int, minimum=1).default
+    3
     """
 
     name: str
@@ -239,6 +245,12 @@ class Configurable(Glance, Guarded):
     ------
     TermselError
         For an unknown option or a value it does not accept.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> termsel.Polynomial2D(degree=3).options["degree"]
+    3
     """
 
     name: ClassVar[str]

@@ -22,6 +22,13 @@ class DatasetSpec:
         Returns the FeatureSet; called when the data are needed.
     simulated : bool
         True if the measurements were computed; shown wherever the data appear.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> spec = termsel.DatasetSpec("mine", "two points", lambda: termsel.FeatureSet())
+    >>> len(spec.load().points)
+    0
     """
 
     name: str

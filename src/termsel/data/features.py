@@ -54,6 +54,15 @@ class Points(Tabular):
     TermselError
         For shapes that do not fit, values that are not finite, ids used twice or not printable,
         two points at one place on the ground, or a role that does not exist.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import termsel
+    >>> points = termsel.Points(("P1", "P2"), np.array([[10.0, 20.0], [300.0, 400.0]]),
+    ...                         np.array([[5e5, 4e6, 120.0], [5.01e5, 4e6, 130.0]]))
+    >>> len(points), points.roles
+    (2, ('', ''))
     """
 
     ids: tuple[str, ...]
@@ -119,6 +128,15 @@ class Lines(Tabular):
     TermselError
         For shapes that do not fit, values that are not finite, lines of zero length, or two
         lines with the same ground vertices.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import termsel
+    >>> lines = termsel.Lines(("L1",), np.array([[[10.0, 20.0], [10.0, 90.0]]]),
+    ...                       np.array([[[5e5, 4e6, 120.0], [5.01e5, 4e6, 120.0]]]))
+    >>> lines.ids
+    ('L1',)
     """
 
     ids: tuple[str, ...]
@@ -233,6 +251,13 @@ class FeatureSet(Glance):
     ------
     TermselError
         If a point and a line have the same id.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> scene = termsel.simulate_scene("ikonos-hamedan")
+    >>> len(scene.points), len(scene.lines), scene.crs
+    (74, 120, 'EPSG:4979')
     """
 
     points: Points = field(default_factory=no_points)

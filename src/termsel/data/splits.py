@@ -32,6 +32,14 @@ class Split:
         Whether the ground coordinates are longitude and latitude [deg], rounded, and height,
         whatever the CRS of the points, so that no role depends on it. Those of a CRS that nothing
         is known of stay as they are.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> split = termsel.Split("all", "All points are control.",
+    ...                       lambda ids, image, ground, rng: ["control"] * len(ids))
+    >>> split.name
+    'all'
     """
 
     name: str

@@ -210,6 +210,15 @@ class Fit(Glance):
         The fit as it was made, where `control` is only a part of what it was fitted to.
     method : Method, optional
         What made the fit, if it is more than an estimator.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> fit = termsel.fit(termsel.simulate_scene("ikonos-hamedan"), "poly3d")
+    >>> fit.project([[48.5, 34.8, 1850.0]]).shape  # line and sample [px]
+    (1, 2)
+    >>> len(fit.control.points)
+    24
     """
 
     model: SensorModel

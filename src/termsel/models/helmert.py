@@ -34,6 +34,12 @@ class Helmert2D(SensorModel):
     References
     ----------
     Helmert 1880, Die mathematischen und physikalischen Theorieen der höheren Geodäsie I.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> len(termsel.Helmert2D().terms)
+    4
     """
 
     name = "helmert2d"

@@ -36,6 +36,12 @@ class Polynomial2D(Polynomial):
     Valadan Zoej et al. 2002, eqs. 1 and 2; Zakaryaie Nejad et al. 2015, eqs. 1 and 2. Both print
     double sums over all i, j up to n (`powers=each`). Zakaryaie Nejad et al. count 15 and 21 terms,
     those of total degree 4 and 5 (`powers=total`).
+
+    Examples
+    --------
+    >>> import termsel
+    >>> len(termsel.Polynomial2D(degree=3).terms)
+    20
     """
 
     name = "poly2d"
@@ -57,7 +63,14 @@ class Polynomial2D(Polynomial):
 
 
 class Polynomial3D(Polynomial):
-    """3-D polynomial: line and sample as polynomials of X, Y and Z."""
+    """3-D polynomial: line and sample as polynomials of X, Y and Z.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> len(termsel.Polynomial3D(degree=2).terms)
+    20
+    """
 
     name = "poly3d"
     declared_options = (
@@ -65,7 +78,14 @@ class Polynomial3D(Polynomial):
 
 
 class Affine(Polynomial):
-    """3D affine model: line and sample linear in X, Y and Z, 8 terms."""
+    """3D affine model: line and sample linear in X, Y and Z, 8 terms.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> termsel.Affine().terms[:4]
+    ('line.num:1', 'line.num:X', 'line.num:Y', 'line.num:Z')
+    """
 
     name = "affine"
 

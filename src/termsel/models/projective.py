@@ -45,6 +45,12 @@ class Projective2D(Projective):
     ----------
     Valadan Zoej et al. 2002, eq. 3. By a misprint, the numerator of y there repeats the
     coefficients of x.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> len(termsel.Projective2D().terms)
+    8
     """
 
     name = "projective2d"
@@ -74,6 +80,12 @@ class DLT2D(Projective):
     References
     ----------
     Valadan Zoej et al. 2002, eq. 4 (plane) and eq. 5 (with XY).
+
+    Examples
+    --------
+    >>> import termsel
+    >>> len(termsel.DLT2D().terms)
+    11
     """
 
     name = "dlt2d"
@@ -100,6 +112,12 @@ class DLT3D(Projective):
     References
     ----------
     Abdel-Aziz and Karara 1971; Valadan Zoej et al. 2002, eq. 4, first part.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> termsel.DLT3D().terms[-3:]
+    ('den:X', 'den:Y', 'den:Z')
     """
 
     name = "dlt3d"

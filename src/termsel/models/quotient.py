@@ -36,6 +36,14 @@ class Blocks:
         Columns of the denominators without their leading 1.
     shared_denominator : ndarray, shape (n, columns), optional
         Columns of a denominator that both axes share, without its leading 1.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import termsel
+    >>> columns = np.ones((4, 1))
+    >>> termsel.Blocks(line=columns, sample=columns).line.shape
+    (4, 1)
     """
 
     line: FloatArray
@@ -72,6 +80,20 @@ class RationalModel(SensorModel):
     With numerator columns n, denominator columns d and coefficients a, c: line = n a /
     (1 + d c), sample likewise. Subclasses give the columns in `blocks`; equations of points
     and lines, projection and fast evaluation follow.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import termsel
+    >>> class Plane(termsel.RationalModel):
+    ...     "Line and sample linear in X and Y."
+    ...     name = "plane-demo"
+    ...
+    ...     def blocks(self, ground):  # (n, 3), scaled to [-1, 1]
+    ...         columns = np.column_stack([np.ones(len(ground)), ground[:, :2]])
+    ...         return termsel.Blocks(line=columns, sample=columns)
+    >>> len(Plane().terms)
+    6
     """
 
     guards: ClassVar[Mapping[str, Check | None]] = {"blocks": _blocks_fault, "column_names": None}

@@ -39,6 +39,13 @@ class RationalFunctions(MonomialModel):
     ----------
     Akhoundi Khezrabad et al. 2020, eq. 1; order of monomials: RPC00B. Tao and Hu 2001,
     PE&RS 67(12), for regularisation.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> model = termsel.RationalFunctions(order=3, denominators="separate")
+    >>> len(model.terms)
+    78
     """
 
     name = "rfm"

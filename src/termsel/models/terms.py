@@ -40,6 +40,7 @@ class Term:
 
     Examples
     --------
+    >>> from termsel import Term
     >>> str(Term("line", "numerator", (2, 1, 0)))
     'line.num:X2Y'
     >>> Term.parse("den:Z")

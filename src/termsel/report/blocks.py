@@ -83,6 +83,12 @@ class TableBlock:
         A drawing of each row as SVG, if any, and the row that was chosen.
     page_only : tuple of int
         Columns that a text leaves out, as they are too wide for it.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> termsel.TableBlock("Errors", ("point", "error [px]"), [("P1", "0.4")]).columns
+    ('point', 'error [px]')
     """
 
     caption: str

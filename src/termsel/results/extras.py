@@ -41,6 +41,13 @@ class ReportSection:
         Takes a `Result`, returns what follows the heading: text for a paragraph, `TableBlock`,
         `Note`, `Code`, `Names`, `Statement`, or `Detail` around one of these. Nothing leaves the
         section out.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> section = termsel.ReportSection("mine", "A remark.", "Remarks", lambda result: ["None."])
+    >>> section.title
+    'Remarks'
     """
 
     name: str
@@ -59,6 +66,12 @@ class Measure:
         The name is that of the column.
     compute : callable
         Takes a `Result`, returns a number; NaN where there is none.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> termsel.Measure("terms", "number of terms", lambda result: len(result.selection.terms)).name
+    'terms'
     """
 
     name: str

@@ -64,6 +64,13 @@ class Task(Glance):
         The features, each in its role.
     narrowed : Problem, optional
         The problem, where it is another than the request's recipe builds: with genes held.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> task = termsel.prepare("poly-terms")
+    >>> task.problem.genome.size
+    30
     """
 
     request: Request

@@ -59,6 +59,14 @@ class Study(Glance):
         Of the finished cells, by their key.
     folder : path or None
         Where journal and tables are.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> study = termsel.compare(problems=["poly-terms"], solvers=["random"], seeds=2,
+    ...                         budget={"evaluations": 50})
+    >>> len(study.records)
+    2
     """
 
     spec: Spec

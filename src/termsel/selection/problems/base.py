@@ -37,6 +37,14 @@ class Evaluation:
     objectives : ndarray, shape (p, m)
     violation : ndarray, shape (p,)
         0 for a feasible individual, else by how much it violates the constraints.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import termsel
+    >>> best = termsel.Evaluation(np.array([[0.8], [0.6]]), np.zeros(2)).objectives.min()
+    >>> float(best)
+    0.6
     """
 
     objectives: FloatArray
@@ -63,6 +71,12 @@ class Selection:
     parameters : mapping
         Values by name: numbers, text or bool. Those that the model has an option for are the values
         of these options; `terms` are those of that model. Others are recorded.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> termsel.Selection(("line:1", "sample:1"), ("P1", "P2")).features
+    ('P1', 'P2')
     """
 
     terms: tuple[str, ...]
@@ -305,6 +319,12 @@ class ProblemData:
         Values of the recipe's options.
     objectives : tuple of Objective
         Objectives next to the criterion.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> termsel.prepare("poly-terms").problem.inputs.model.name
+    'poly2d'
     """
 
     model: SensorModel

@@ -30,6 +30,13 @@ class Genome:
     ------
     TermselError
         For a label that no such segment has, one both on and off, or a cardinality out of reach.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> genome = termsel.Genome([termsel.Bits("terms", ("1", "X", "Y"))], on=["1"])
+    >>> genome.size
+    3
     """
 
     def __init__(self, segments: Iterable[AnySegment], *, on: Iterable[str] = (),

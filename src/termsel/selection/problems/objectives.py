@@ -132,6 +132,12 @@ class Objective:
     name, summary : str
     score : callable
         Takes `PopulationSelection`, returns finite figures, shape (p,).
+
+    Examples
+    --------
+    >>> import termsel
+    >>> termsel.Objective("n_on", "Number of terms.", lambda s: s.terms.sum(axis=1)).name
+    'n_on'
     """
 
     name: str

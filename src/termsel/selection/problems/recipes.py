@@ -47,6 +47,14 @@ class Recipe:
         Whether the problem's own solver runs all the same, unless the strategy "auto" is asked for.
     source : str
         The paper the problem comes from.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> recipe = termsel.Recipe("mine", "Terms of a polynomial.", lambda inputs: inputs, "poly2d",
+    ...                          "ikonos-hamedan")
+    >>> recipe.solver
+    'ga'
     """
 
     name: str

@@ -70,6 +70,12 @@ class Bits(Named):
         What each gene switches.
     minimum, maximum : int
         How many genes may be on; all of them where maximum is None.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> termsel.Bits("terms", ("1", "X", "Y"), minimum=1).labels
+    ('1', 'X', 'Y')
     """
 
     minimum: int = 0
@@ -134,6 +140,12 @@ class Integers(_Bounded):
     ------
     TermselError
         For bounds that are not in order, or not one for each gene.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> termsel.Integers("degree", ("line", "sample"), low=1, high=4).labels
+    ('line', 'sample')
     """
 
     def random(self, rng: np.random.Generator, n: int) -> Genes:
@@ -161,6 +173,12 @@ class Reals(_Bounded):
     ------
     TermselError
         For bounds that are not finite, not in order, or not one for each gene.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> termsel.Reals("ridge", ("line", "sample"), low=0.0, high=1.0).labels
+    ('line', 'sample')
     """
 
     dtype: ClassVar[type] = np.float64
@@ -185,6 +203,12 @@ class Categories(Named):
         What each gene is.
     choices : tuple
         The values; a gene is the index of one.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> termsel.Categories("estimator", ("kind",), choices=("ols", "ridge")).choices
+    ('ols', 'ridge')
     """
 
     choices: tuple[Any, ...]
@@ -226,6 +250,12 @@ class Permutation(Named):
     name : str
     labels : tuple of str
         The n things.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> termsel.Permutation("order", ("a", "b", "c")).labels
+    ('a', 'b', 'c')
     """
 
     def random(self, rng: np.random.Generator, n: int) -> Genes:
@@ -261,6 +291,12 @@ class Subset(Named):
     ------
     TermselError
         If m is not from 0 to n.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> termsel.Subset("points", ("P1", "P2", "P3", "P4"), m=2).m
+    2
     """
 
     m: int

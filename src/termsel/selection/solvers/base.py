@@ -32,6 +32,16 @@ class Generation:
     details : mapping
         Further values for observers. ``empires``, int, shape (k,), the countries of each empire
         as the ICA counts them, also goes into the history.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import termsel
+    >>> task = termsel.prepare("poly-terms")
+    >>> solver = termsel.GeneticAlgorithm(population=20)
+    >>> first = next(solver.generations(task.problem, np.random.default_rng(1)))
+    >>> first.index, len(first.genes)
+    (0, 20)
     """
 
     index: int

@@ -86,6 +86,14 @@ class SearchResult:
         What a reader of the result must know about the search.
     history : tuple of HistoryRow
         One for each generation.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> problem = termsel.prepare("poly-terms").problem
+    >>> found = termsel.search(problem, termsel.GeneticAlgorithm(), seed=1, generations=2)
+    >>> found.generations, len(found.genes)
+    (2, 30)
     """
 
     genes: Genes

@@ -53,6 +53,13 @@ class GeneticAlgorithm(Solver):
     The operators act on the whole population at once and are registered in a DEAP toolbox,
     where they can be replaced. DEAP's own operators are not used, as they draw one individual
     at a time from the global random state. Infeasible individuals rank behind all feasible ones.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> result = termsel.run("poly-terms", solver="ga", seed=1, generations=2)
+    >>> result.solver
+    'ga'
     """
 
     name = "ga"
