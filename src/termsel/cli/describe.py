@@ -243,7 +243,8 @@ def _document(entry: Entry) -> None:
 
 _HEADING = re.compile(r"^(\w[\w ]*)\n-{3,}$", re.MULTILINE)
 """A heading of a docstring, as numpydoc underlines it."""
-_EXAMPLE_SECTION = re.compile(r"^Examples\n-{3,}\n.*?(?=^\w[\w ]*\n-{3,}$|\Z)", re.MULTILINE | re.DOTALL)
+_EXAMPLE_SECTION = re.compile(r"^Examples\n-{3,}\n.*?(?=^\w[\w ]*\n-{3,}$|\Z)",
+                              re.MULTILINE | re.DOTALL)
 """The examples of a docstring, to the next heading or the end."""
 
 
