@@ -412,8 +412,8 @@ def test_a_triangle_has_the_affine_transformation_of_its_points() -> None:
 def test_outside_of_all_triangles_a_place_is_corrected_as_the_nearest_of_their_hull() -> None:
     square = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     weights = Piecewise().residual_weights(square, np.array([[0.5, 3, 0], [4, 4, 0], [1, 1, 0]]))
-    np.testing.assert_allclose(weights, [[0, 0, 0.75, 0.25], [0, 0, 1, 0], [0, 0, 1, 0]],
-                               atol=1e-12)
+    expected = np.array([[0.0, 0.0, 0.75, 0.25], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 1.0, 0.0]])
+    np.testing.assert_allclose(weights, expected, atol=1e-12)
 
 
 def test_points_on_a_line_or_at_one_place_correct_nothing_or_their_mean() -> None:

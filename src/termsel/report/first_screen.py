@@ -37,7 +37,7 @@ _ALIKE_RATIO = 1.05
 """Ratio of two RMSE below which the difference is of no practical use."""
 _CHANCE = 1.15
 """Ratio up to which a model that was not chosen may be better by chance, in leave-one-out."""
-_DEGREES = {1: "affine", 2: "quadratic", 3: "cubic"}
+_DEGREE_NAMES = {1: "affine", 2: "quadratic", 3: "cubic"}
 _DIMENSIONS = {"poly2d": "2-D", "poly3d": "3-D"}
 
 
@@ -150,7 +150,7 @@ def title_of(record: Record) -> str:
         # A degree has a name up to the third; beyond, the number says more.
         if record.model in _DIMENSIONS and isinstance(degree, int):
             shape = f"{_DIMENSIONS[record.model]} polynomial"
-            return f"{_DEGREES[degree]} {shape}" if degree in _DEGREES else \
+            return f"{_DEGREE_NAMES[degree]} {shape}" if degree in _DEGREE_NAMES else \
                 f"{shape} of degree {degree}"
         return "rational function model" if record.model == "rfm" else record.model
     if shift := _shift_of(record):

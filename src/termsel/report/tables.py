@@ -9,7 +9,7 @@ from termsel.report.charts.search import spaced
 from termsel.report.charts.terms import frequency_rows, term_rows
 from termsel.report.view import View
 
-GENERATIONS = 30
+MAX_GENERATION_ROWS = 30
 """Rows of the search."""
 PAIRS = 60
 """Pairs of correlated coefficients."""
@@ -19,7 +19,7 @@ STEP = 9
 
 def convergence_table(view: View) -> TableBlock:
     """Return the search, generation by generation."""
-    history = spaced(view.record.history, GENERATIONS)
+    history = spaced(view.record.history, MAX_GENERATION_ROWS)
     has_empires = any(generation.empires for generation in history)
     rows = []
     for generation in history:

@@ -27,7 +27,7 @@ from termsel.testing.cases import (
 from termsel.testing.scenes import imaged, seeded
 
 PIXELS = 1000.0
-NOISE = 0.5
+NOISE_PX = 0.5
 """Standard deviation of the measurements [px]."""
 
 SETS = 4
@@ -158,7 +158,7 @@ def _fits(masks: BoolArray) -> Fits:
     truth = np.array([affine.get(Term.parse(name).column, 0.0) for name in model.terms])
     # Control and selection points of one scene, with independent noise.
     control, check = (imaged(model, truth, rng, points=40) for _ in range(2))
-    noisy = [Points(f.points.ids, f.points.image + rng.normal(0.0, NOISE / PIXELS, (40, 2)),
+    noisy = [Points(f.points.ids, f.points.image + rng.normal(0.0, NOISE_PX / PIXELS, (40, 2)),
                     f.points.ground) for f in (control, check)]
     recorder = _Recorder()
     inputs = ProblemData(model, control.with_(points=noisy[0]), noisy[1], PIXELS, recorder)

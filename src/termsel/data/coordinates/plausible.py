@@ -9,7 +9,7 @@ from termsel.data.coordinates.crs import UTM, kind_of, normalise, short
 from termsel.data.features import BoolArray, FeatureSet, FloatArray
 
 _NEAR = 1000.0  # metres from the origin of a CRS
-_DEGREES = ((-180.0, -90.0), (360.0, 90.0))
+_DEGREE_RANGE = ((-180.0, -90.0), (360.0, 90.0))
 _WITH_ZONE = {31: "EPSG:5649", 32: "EPSG:4647", 33: "EPSG:5650"}  # zE-N
 _FOOT = 0.3048  # m
 # Generous: scenes reach into the next zone, and some producers keep northern zones with
@@ -33,7 +33,8 @@ def check_ground(features: FeatureSet) -> None:
         metres = (np.abs(xy) > 360).any(axis=1).mean() > 0.5
         hint = ("These look like metres: state the projected CRS with --crs." if metres else
                 "x must be longitude and y latitude, in degrees.")
-        _check_range(xy, features, *_DEGREES, f"cannot be longitude and latitude in {crs}", hint)
+        _check_range(xy, features, *_DEGREE_RANGE,
+                     f"cannot be longitude and latitude in {crs}", hint)
     elif kind == "projected":
         _check_metres(xy, features, crs)
         utm = UTM.fullmatch(crs)

@@ -19,7 +19,7 @@ MAX_SUMMED_FREEDOM = 1000
 EPS, QUANTILE_STEP = 1e-16, 1e-12
 """Parts of a sum, and a step to a quantile, that change nothing."""
 
-STEPS = 60
+MAX_SECANTS = 60
 """Most secants to a quantile: rounding may keep the last ones from meeting `QUANTILE_STEP`."""
 
 
@@ -128,7 +128,7 @@ def _where(rising: Callable[[float], float], value: float, x: float) -> float:
     """Return where a function of positive numbers has a value, by secants that begin at x."""
     y = rising(x)
     after = 1.01 * x
-    for _ in range(STEPS):
+    for _ in range(MAX_SECANTS):
         if abs(after - x) <= QUANTILE_STEP * x or (z := rising(after)) == y:
             break
         # The secant's zero; a positive number, so no step goes down to less than a tenth.
