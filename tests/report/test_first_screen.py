@@ -155,6 +155,7 @@ def test_notes_that_do_not_fit_are_counted() -> None:
 @pytest.mark.parametrize(("changed", "folder", "step"), [
     ({}, "", "Not saved: add --out DIR, then termsel report DIR"),
     ({}, "result", "Next: termsel report result"),
+    ({}, "my results", "Next: termsel report 'my results'"),
     ({"data": counts(independent=0)}, "r",
      "Next: termsel plan r   (best positions for check points)"),
     ({"outliers": [outlier("P 2", 9.0, False)]}, "r", "Next: run again with --off 'P 2'"),

@@ -214,3 +214,18 @@ def test_photos_of_one_flight_share_their_camera(tmp_path: Path) -> None:
     camera = json.loads((tmp_path / "camera.json").read_text("utf-8"))
     assert abs(camera["focal"] / FOCAL - 1.0) < max(3.0 * camera["focal_spread"], 0.01)
     assert abs(camera["distortion"][0] + 0.03) < 0.03
+
+
+@pytest.mark.slow
+def test_the_rmse_predicted_of_four_points_is_of_the_size_of_the_true_one() -> None:
+    """Without one of four points a camera is hardly determined, so that held-out errors run wild.
+    """
+    ratios = []
+    for seed in range(6):
+        control, ground, image = photo(4, down=40.0, seed=seed, noise=4.0, camera_focal=FOCAL)
+        result = termsel.run(features=control)
+        measured = image + 4.0 * np.random.default_rng(seed).standard_normal(image.shape)
+        true = np.sqrt(((result.project(ground) - measured) ** 2).sum(axis=1).mean())
+        assert result.predicted is not None
+        ratios.append(result.predicted.rmse / true)
+    assert 0.4 < np.median(ratios) < 2.5

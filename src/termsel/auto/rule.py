@@ -28,6 +28,9 @@ CLEAR_MARGIN = 3.0
 """Standard errors by which any other method that no prior contains must be better, since the best
 of several is so partly by luck."""
 
+FEWEST_EQUATIONS_OF_CAMERA = 2
+"""Equations that a central projection must leave to be held against a method that knows more."""
+
 SMALLEST_RMSE_REASON = "It has the smallest leave-one-out RMSE."
 """Why a method is chosen where none has a prior."""
 
@@ -132,7 +135,11 @@ def base_is_limit(method: Method, wider_method: Method) -> bool:
 def required(fitted: Fit, base: Fit) -> float:
     """Return by how many standard errors a method that no prior contains must be better."""
     if method_of(base).from_one > method_of(fitted).from_one:
-        return _equally_sure_margin(base)
+        # Four points leave one equation of a camera of which nothing is known: its errors without
+        # each of them may be small by chance.
+        equations = 2 * len(base.held_out().squares) - fitted.effective
+        says_nothing = method_of(fitted).central and equations < FEWEST_EQUATIONS_OF_CAMERA
+        return np.inf if says_nothing else _equally_sure_margin(base)
     if not method_of(fitted).central:
         return CLEAR_MARGIN
     # Few points measured roughly, as in a drawn bird's-eye view, hardly tell standard errors apart;

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import PurePath
+from shlex import quote
 
 from termsel.auto.methods import BY_NAME
 from termsel.core.display.numbers import rounded
@@ -514,5 +515,5 @@ def next_step(record: Record, folder: str = "") -> str:
         return "Not saved: add --out DIR, then termsel report DIR"
     if not record.data.counts.independent and record.data.counts.word == "points" \
             and lattice_of(record) is None:
-        return f"Next: termsel plan {folder}   (best positions for check points)"
-    return f"Next: termsel report {folder}"
+        return f"Next: termsel plan {quote(folder)}   (best positions for check points)"
+    return f"Next: termsel report {quote(folder)}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from shlex import quote
 
 import click
 
@@ -91,7 +92,8 @@ def block_example(folder: Path, images: int, check: int, seed: int) -> None:
     from termsel_block.example import write_example
 
     write_example(folder, images, seed, check)
-    click.echo(f"Next: termsel block {folder / 'block.toml'} --out {folder / 'adjusted'}")
+    click.echo(f"Next: termsel block {quote(str(folder / 'block.toml'))} "
+               f"--out {quote(str(folder / 'adjusted'))}")
 
 
 @click.command("block-points")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterable, Iterator
+from shlex import quote
 
 from termsel.toolkit.charts import Fact
 from termsel_block.estimation.adjustment import WRONG
@@ -36,8 +37,8 @@ def first_screen(record: BlockRecord, folder: str) -> str:
     shown = [fact for fact in facts(record) if fact.label not in ("Precision", "Next")
              and not (control and fact.label == "Datum")]
     next_image = _least_certain(record)[0].name
-    lines = [*_lines(shown), f"Saved     {folder}/    Next: termsel plan {folder}/{next_image}   "
-             "(the least certain image)"]
+    lines = [*_lines(shown), f"Saved     {folder}/    Next: termsel plan "
+             f"{quote(f'{folder}/{next_image}')}   (the least certain image)"]
     rows = LINES - len(lines) - 4  # without what was read, the header and two empty lines
     if rows < len(record.images):
         rows = max(rows - 1, _FEWEST_ROWS)  # one line counts those that are not listed
