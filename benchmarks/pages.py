@@ -31,6 +31,7 @@ PAGES: dict[str, tuple[str, ...]] = {
     "benchmark": ("open_benchmark",),
     "measured": ("measured_benchmark", "--kept", KEPT),
     "short-budgets": ("short_budgets", "--kept", KEPT),
+    "best-subsets": ("best_subsets", "--kept", KEPT),
     "flat-control": ("flat_control",),
     "few-points": ("few_points", "--processes", "2", "--kept", KEPT),
     "plan": ("plan", "--processes", "2"),
