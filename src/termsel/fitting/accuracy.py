@@ -119,8 +119,8 @@ def predicted_by(fitted: Fit, errors: FloatArray, points: int,
     """
     in_use = fitted.control.take(fitted.used)
     shared = shared_variance(fitted.model, fitted.scaling.features(in_use))
-    errors, experience = _with_experience(fitted, _errors_with_all_points(fitted, errors))
-    at_control = predicted_rmse(errors, fitted.effective - experience, points, shared)
+    errors = _with_experience(fitted, _errors_with_all_points(fitted, errors))
+    at_control = predicted_rmse(errors, fitted.effective, points, shared)
     height_square = 0.0
     if ground is not None:
         height_square = _square_of_unlike_heights(fitted, in_use, ground)
@@ -174,20 +174,21 @@ def _errors_with_all_points(fitted: Fit, errors: FloatArray) -> FloatArray:
     return np.asarray(errors * np.sqrt(1.0 - np.minimum(leverage, MAX_LEVERAGE)**2))
 
 
-def _with_experience(fitted: Fit, errors: FloatArray) -> tuple[FloatArray, float]:
-    """Return held-out errors next to what was known before them, and the freedom of the latter.
+def _with_experience(fitted: Fit, errors: FloatArray) -> FloatArray:
+    """Return held-out errors whose RMSE is also by what was known before them.
 
-    The logarithm of their RMSE is that of both, each by its degrees of freedom: a camera of four
-    points is hardly determined without one of them, so that their errors alone say little.
+    Its logarithm is that of both, each by its degrees of freedom: a camera of four points is hardly
+    determined without one of them, so that their errors alone say little. The interval stays that
+    of the errors: how points are usually measured does not tell how these are.
     """
     expected = fitted.estimator.expected_rmse(fitted)
     rmse = float(np.sqrt((errors**2).sum(axis=1).mean()))
     if expected is None or rmse == 0.0:
-        return errors, 0.0
+        return errors
     expected_rmse, experience = expected
     redundancy = max(2 * len(errors) - fitted.effective, 0.0)
     share = experience / (experience + redundancy)
-    return np.asarray(errors * (expected_rmse / rmse)**share), experience
+    return np.asarray(errors * (expected_rmse / rmse)**share)
 
 
 def predicted_of_all(fitted: Fit, expected: Predicted, ground: FloatArray) -> Predicted:
