@@ -42,6 +42,7 @@ PAGES: dict[str, tuple[str, ...]] = {
     "hyperspectral": ("hyperspectral",),
     "sentinel-1": ("sentinel", "--whole", "0.2"),
     "scanners": ("scanners", "--processes", "2", "--images", "24", "--splits", "6"),
+    "uncertainty": ("uncertainty", "--processes", "2", "--kept", KEPT),
     "coverage": ("coverage", "--processes", "2", "--kept", KEPT),
     "blunders": ("blunders", "--processes", "2"),
     "gap-to-optimum": ("gap", "--out", "build/evidence/gap-{commit}", "--workers", "2"),

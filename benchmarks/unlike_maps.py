@@ -77,15 +77,19 @@ KINDS: dict[str, tuple[float, Callable[[Generator, FloatArray], FloatArray]]] = 
 """Noise of drafting and measuring [px], and what draws the shifts of places."""
 
 
-def unlike_map(kind: str, count: int, seed: int) -> Points:
-    """Return points of a scan of 5000 x 7000 px, without heights."""
+def unlike_map(kind: str, count: int, seed: int, measured: int | None = None) -> Points:
+    """Return points of a scan of 5000 x 7000 px, without heights.
+
+    With `measured` only the first so many have noise; the others are where the map shows them.
+    """
     rng = np.random.default_rng([list(KINDS).index(kind), count, seed])
     noise, shifts = KINDS[kind]
     at = rng.uniform(0.02, 0.98, (count, 2)) * SIZE
     turn = rng.uniform(-0.1, 0.1)
     turned = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]) \
         * (1 + rng.normal(0, 0.01, 2))
-    image = at @ turned + shifts(rng, at) + noise * rng.standard_normal(at.shape)
+    image = at @ turned + shifts(rng, at)
+    image[:measured] += noise * rng.standard_normal(at.shape)[:measured]
     ground = np.column_stack([ORIGIN[0] + GSD * at[:, 1], ORIGIN[1] - GSD * at[:, 0],
                               np.full(count, np.nan)])
     return Points(tuple(map(str, range(count))), image, ground)

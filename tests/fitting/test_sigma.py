@@ -70,7 +70,9 @@ def test_lines_alone_propagate_the_noise_of_their_own_adjustment() -> None:
     ground = scene.points.ground[:20]
     columns = np.column_stack([np.ones(20), fitted.scaling.ground(ground)])
     A = fitted.model.equations(fitted.scaled_control).A
-    covariance = fitted.adjustment.sigma0**2 * np.linalg.inv(A.T @ A)
+    # Errors have Student's distribution with as many degrees of freedom as there is redundancy.
+    freedom = fitted.adjustment.redundancy
+    covariance = fitted.adjustment.sigma0**2 * freedom / (freedom - 2) * np.linalg.inv(A.T @ A)
     for axis, rows in ((0, slice(0, 4)), (1, slice(4, 8))):
         expected = np.sqrt(np.einsum("ni,ij,nj->n", columns, covariance[rows, rows], columns))
         np.testing.assert_allclose(fitted.sigma(ground)[:, axis],

@@ -13,7 +13,7 @@ from termsel.auto.methods import named
 from termsel.data.features import FloatArray
 from termsel.data.fit_data import FitData
 from termsel.fitting.fit import Undetermined
-from termsel.fitting.pinhole import pinhole_of
+from termsel.fitting.pinhole import Cameras, Measured, pinhole_of
 
 
 def seen_by(drawn: Scene, *, size: bool = True) -> FloatArray:
@@ -33,6 +33,23 @@ def test_few_points_over_hills_tell_a_camera(angle: int, count: int) -> None:
     errors = [rmse(seen_by(drawn), drawn.image) for drawn in (
         scene(angle, 100, count, seed) for seed in (11, 12, 13))]
     assert np.median(errors) < 1.5
+
+
+def test_steps_lead_down_the_slope_of_the_costs() -> None:
+    rng = np.random.default_rng(0)
+    ground = rng.uniform(-1.0, 1.0, (6, 3))
+    camera = Cameras(np.eye(3)[None], np.array([[0.1, -0.2, 5.0]]), np.array([2.0]),
+                     np.array([[0.3, -0.2]]))
+    measured = Measured(ground, camera.image(ground)[0] + 0.1, np.ones((6, 2)), np.zeros(2), 0.1,
+                        1.8, np.ones(3), 0.01, tilt=0.5)
+    rows = np.ones((1, 6))
+    design, residuals = measured.system(camera, rows, 0.1)
+    step = 1e-6 * np.eye(9)
+    for unknown in range(9):
+        ahead, back = (measured.costs(camera.moved(sign * step[unknown:unknown + 1]), rows, 0.1)[0]
+                       for sign in (1.0, -1.0))
+        slope = -2.0 * design[0, :, unknown] @ residuals[0]
+        assert slope == pytest.approx((ahead - back) / 2e-6, rel=1e-4, abs=1e-3)
 
 
 def test_a_camera_is_found_without_the_size_of_the_image() -> None:

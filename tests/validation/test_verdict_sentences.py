@@ -42,6 +42,18 @@ def test_an_infeasible_selection_gets_one_verdict_and_no_figure() -> None:
         "use it: measure more control points or choose a smaller model.")
 
 
+def test_a_search_too_short_to_find_a_selection_says_so_and_blames_no_model() -> None:
+    def verdict(evaluations: int | None) -> str:
+        return judge("all lines", "press", rmse(1.0), (), "affine", False, None,
+                     evaluations=evaluations)
+
+    assert verdict(20) == (
+        "This selection does not satisfy all conditions, and no better one was found with 20 "
+        "evaluations, which is too few. Do not use it: search with 1,000 evaluations or more.")
+    assert verdict(None) == verdict(1000)
+    assert "smaller model" in verdict(1000)
+
+
 def test_without_independent_points_nothing_is_compared() -> None:
     assert judged(None, reference="affine", noise=0.5) == (
         "There are no independent check points, so the accuracy of this selection is not known. "

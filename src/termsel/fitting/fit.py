@@ -25,9 +25,9 @@ from termsel.data.record.base import Settings
 from termsel.data.scaling import Scaling, scaling_of
 from termsel.data.view import CentralView, view_of
 from termsel.fitting.extrapolation import by_heights
-from termsel.fitting.misfit import Misfit, misfit_of
+from termsel.fitting.misfit import Misfit, misfit_of, mixed_misfit
 from termsel.fitting.residuals import Residuals, Rmse, control_residuals, rmse_of
-from termsel.fitting.uncertainty import Spread, spread_of
+from termsel.fitting.uncertainty import Spread, Unexplained, spread_of, unexplained_by
 from termsel.models.base import SensorModel
 
 MISFIT_BATCH = 2000
@@ -89,6 +89,18 @@ class Estimator(ABC):
         image = fitted.model.predict(fitted.adjustment.coefficients, used, ground)
         return spread_of(fitted.model, used, fitted.terms, fitted.adjustment, ground, image,
                          least_squares=self.least_squares)
+
+    def unexplained(self, fitted: Fit, residuals: FloatArray) -> list[Unexplained]:
+        """Return what is left of the control by the courses that `spread` takes for possible.
+
+        The scaled residuals (n, 2) are those of the fit, all that an estimator leaves that has a
+        spread of its own.
+        """
+        own = Unexplained(1.0, residuals, fitted.effective)
+        if type(self).spread is not Estimator.spread:
+            return [own]
+        return unexplained_by(fitted.model, fitted.scaled_control.take(fitted.used), fitted.terms,
+                              fitted.adjustment, own, least_squares=self.least_squares)
 
     def view(self, features: FeatureSet, scaling: Scaling) -> CentralView | None:
         """Return the central projection that scaled features in use call for, or None."""
@@ -457,18 +469,19 @@ class Fit(Glance):
     def misfit(self) -> Misfit | None:
         """What the residuals of control points tell that the model does not fit, or None.
 
-        A local model fits it itself, and lines tell too little of it.
+        Lines tell too little of it.
         """
         control = self._scaled_used
-        # Lines have no residual along themselves; an interpolation has none at all; without
-        # redundancy all are zero.
-        if len(control.lines) or self.model.interpolation(control) is not None \
-                or self.adjustment.redundancy <= 0:
+        # Lines have no residual along themselves; without redundancy all are zero.
+        if len(control.lines) or self.adjustment.redundancy <= 0:
             return None
         points = control.points
         image = self.scaling.image(self._computed(
             self.control.take(self.used).points.ground))
-        return misfit_of(image, points.image - image, points.sigma, self.effective)
+        misfits = [(each.chance, misfit_of(image, each.residuals, points.sigma, each.effective,
+                                           1.0 / self.scaling.image_scale))
+                   for each in self.estimator.unexplained(self, points.image - image)]
+        return mixed_misfit([(chance, misfit) for chance, misfit in misfits if misfit is not None])
 
     def _ground_points(self, ground: ArrayLike) -> FloatArray:
         """Return ground points (n, 3); a plane model also takes them without heights."""

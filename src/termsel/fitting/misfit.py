@@ -2,16 +2,27 @@
 
 Sheets shrink, scanners shake, lenses distort: a parametric model leaves a part that is alike at
 neighbouring places. It is no noise, so it is part of the error of a prediction. The residuals r of
-the control, reduced by a trend T that stands for what the model has taken up already, are
+the control, reduced by a trend T that stands for what the model has taken up already, are in line
+and in sample
 
     r = T b + g + e,    g ~ (ratio s)^2 Matern,  e ~ s^2,
 
-with places in the image, a Matern covariance of smoothness 3/2 and unknown length, ratio and s. All
-are averaged with their restricted likelihood, and with them that there is no field. Under one
-solution, with S the covariance of the residuals and P = S^-1 - S^-1 T (T' S^-1 T)^-1 T' S^-1, the
-field at a place with covariances k to the control has the mean k' P r and the variance
-(ratio s)^2 - k' P k. Both squared are what the model misses there: close to control it is seen, and
-far away it is as large as it can be.
+with places in the image, a Matern covariance of smoothness 3/2 and unknown length, ratio and noise
+s. All are averaged with their restricted likelihood, and with them that there is no field: with S
+the covariance of the residuals by s^2, P = S^-1 - S^-1 T (T' S^-1 T)^-1 T' S^-1 and m = n - rank T,
+
+    p(r | length, ratio, s) ~ |S|^-1/2 |T' S^-1 T|^-1/2 s^-m exp(-r' P r / 2 s^2).
+
+Length and noise are those of line and sample together, the ratio is of each alone: a scanner may
+shake along one. Under one solution the field at a place with covariances k to the control, by s^2,
+has the mean k' P r and the variance s^2 (ratio^2 - k' P k). Averaged over all solutions, the square
+of the one and the other are what the model misses there: close to control it is seen, and far away
+it is as large as it can be.
+
+Few residuals do not tell a field of short length from noise. Then their scatter is divided by what
+is known beforehand: a measurement in an image is good to about half a pixel, and a scatter of
+several pixels is rather what the model does not fit. Of a local model, which fits fields itself,
+r are its errors of points held out, of the size of the noise that it sees.
 
 References
 ----------
@@ -21,7 +32,8 @@ residuals; Stein 1999 for the Matern covariance. The prior is termsel's own.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -31,13 +43,20 @@ MISFIT_LENGTHS = ((0.2, 0.2), (0.4, 0.4), (0.8, 0.8), (0.15, 2.0), (2.0, 0.15))
 """Lengths of line and sample, by the half-range of the image; the last two are those of scanners
 that shake and of strips."""
 
-MISFIT_RATIOS = (0.4, 0.8, 1.6)
-"""Standard deviations of the field by that of the noise."""
+MISFIT_RATIOS = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 12.8)
+"""Standard deviations of the field by that of the noise, all as likely beforehand."""
 
-MISFIT_PROBABILITY = 0.12
-"""Probability of a field before the residuals are looked at. Few residuals do not tell a field of
-short length from noise, so that this is what they add then: tuned on simulated sheets, photos and
-scanners (docs/explanation/judgement.md)."""
+MISFIT_PROBABILITY = 0.36
+"""Probability of a field of these sizes before the residuals are looked at. A field is as likely as
+none, and of any order of magnitude from a hundredth of the noise to ten times: what is less than a
+tenth counts as none."""
+
+NOISE_MEDIAN, NOISE_LOG_DEVIATION = 0.5, 1.0
+"""Median of the noise beforehand [px], and the standard deviation of its logarithm: from a
+fourteenth of a pixel, of matches, to 3.6 px, of points in old maps, with a probability of 95 %."""
+
+NOISE_BY_SCATTER = np.geomspace(0.03, 3.0, 24)
+"""Noises that are tried, by the scatter of the residuals."""
 
 MISFIT_MAX_POINTS = 200
 """Points by which the field is found; of more, such as are spread over the image."""
@@ -54,18 +73,20 @@ NEGLIGIBLE_SHARE = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """A field of one pair of lengths and one ratio.
+    """The fields of one pair of lengths, averaged over ratios and noises.
 
-    `share` is its probability; `weights` (n, 2) are P r of line and sample, `projection` (n, n) is
-    s^2 P for noise of unit variance, and `noise` (2,) the variance s^2.
+    With w the probability of a ratio on an axis, and s^2 the expected noise under it: `variance`
+    (2,) is the sum of w s^2 ratio^2, `explained` (2, n, n) that of w s^2 ratio^4 P, `weights`
+    (2, r) are the probabilities and `means` (r, n, 2) ratio^2 P r, of line and sample. `share` is
+    the probability of the lengths.
     """
 
     share: float
     lengths: tuple[float, float]
-    ratio: float
+    variance: FloatArray
+    explained: FloatArray
     weights: FloatArray
-    projection: FloatArray
-    noise: FloatArray
+    means: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,86 +105,120 @@ class Misfit:
         """Return the mean square of what the model misses at places in the image, (m, 2)."""
         total = np.zeros((len(image), 2))
         for solution in self.solutions:
-            # (m, n)
-            covariances = solution.ratio**2 * matern(image, self.positions, solution.lengths)
-            mean = covariances @ solution.weights
-            explained = np.einsum("mn,nk,mk->m", covariances, solution.projection, covariances)
-            unexplained = np.maximum(solution.ratio**2 - explained, 0.0)[:, None] * solution.noise
-            total += solution.share * (unexplained + mean**2)
+            correlations = matern(image, self.positions, solution.lengths)             # (m, n)
+            for axis in (0, 1):
+                explained = ((correlations @ solution.explained[axis]) * correlations).sum(axis=1)
+                means = correlations @ solution.means[:, :, axis].T                     # (m, r)
+                total[:, axis] += np.maximum(solution.variance[axis] - explained, 0.0) \
+                    + means**2 @ solution.weights[axis]
         return total
 
     def covariance(self, image: FloatArray, axis: int) -> FloatArray:
         """Return the covariance of what the model misses among places in the image, (m, m)."""
         total = np.zeros((len(image), len(image)))
         for solution in self.solutions:
-            covariances = solution.ratio**2 * matern(image, self.positions, solution.lengths)
-            prior = solution.ratio**2 * matern(image, image, solution.lengths)
-            total += solution.share * solution.noise[axis] * (
-                prior - covariances @ solution.projection @ covariances.T)
+            correlations = matern(image, self.positions, solution.lengths)
+            total += solution.variance[axis] * matern(image, image, solution.lengths) \
+                - correlations @ solution.explained[axis] @ correlations.T
         return total
 
 
 def misfit_of(image: FloatArray, residuals: FloatArray, sigma: FloatArray | None,
-              effective: float) -> Misfit | None:
+              effective: float | None, pixel: float) -> Misfit | None:
     """Return what a model does not fit, from the residuals of its control (n, 2); None if few.
 
-    The image (n, 2) is where the model sees the control, all scaled; `sigma` (n, 2) are standard
-    deviations of the measurements, if known, and `effective` the parameters of both axes together.
+    The image (n, 2) is where the model sees the control, all scaled, as is a `pixel`; `sigma`
+    (n, 2) are standard deviations of the measurements, if known, and `effective` the parameters of
+    both axes together, None where the residuals are not less for them.
     """
     if len(image) > MISFIT_MAX_POINTS:
         rows = np.linspace(0, len(image) - 1, MISFIT_MAX_POINTS).round().astype(int)
-        effective *= MISFIT_MAX_POINTS / len(image)
+        effective = None if effective is None else effective * MISFIT_MAX_POINTS / len(image)
         image = image[rows]
         residuals = residuals[rows]
         sigma = None if sigma is None else sigma[rows]
     n = len(image)
     trend = _trend(image)
     freedom = n - trend.shape[1]
+    effective = 2.0 * trend.shape[1] if effective is None else effective
     if n < MISFIT_MIN_POINTS or 2 * n - effective < 2.0 or freedom < 2 or not residuals.any():
         return None
     # The model has taken up more than the trend: as much larger its residuals would be else.
     residuals = residuals * np.sqrt(2 * freedom / (2 * n - effective))
-    noise = np.ones(n) if sigma is None else (sigma**2).mean(axis=1) / np.median(sigma**2)
-    logs = [
-        _restricted_likelihood(np.diag(noise), trend, residuals)[0]
-        + np.log(1.0 - MISFIT_PROBABILITY)
-    ]
+    precise = np.ones(n) if sigma is None else (sigma**2).mean(axis=1) / np.median(sigma**2)
+    expected = NOISE_MEDIAN * pixel if sigma is None else float(np.median(sigma))
+    noises = NOISE_BY_SCATTER * np.sqrt((residuals**2).mean())
+    log_prior = -0.5 * (np.log(noises / expected) / NOISE_LOG_DEVIATION) ** 2
+    log_prior -= np.logaddexp.reduce(log_prior)
+    logs = [np.log(1.0 - MISFIT_PROBABILITY) + log_prior
+            + _restricted_likelihood(np.diag(precise), trend, residuals, noises)[0].sum(axis=0)]
     fields = []
-    prior_probability = MISFIT_PROBABILITY / len(MISFIT_LENGTHS) / len(MISFIT_RATIOS)
     for lengths in MISFIT_LENGTHS:
-        correlation = matern(image, image, lengths)
-        for ratio in MISFIT_RATIOS:
-            log, projection, square = _restricted_likelihood(
-                np.diag(noise) + ratio**2 * correlation, trend, residuals)
-            logs.append(log + np.log(prior_probability))
-            fields.append((lengths, ratio, projection, square))
+        ratio_logs, projections = _by_ratios(lengths, image, np.diag(precise), trend, residuals,
+                                             noises)
+        by_noise = np.logaddexp.reduce(ratio_logs, axis=1)                             # (2, s)
+        logs.append(np.log(MISFIT_PROBABILITY / len(MISFIT_LENGTHS)) + log_prior
+                    + by_noise.sum(axis=0))
+        fields.append((lengths, np.exp(ratio_logs - by_noise[:, None]), projections))
     if not np.isfinite(logs).all():  # seen on one line of the image: no trend is determined
         return None
-    shares = np.exp(np.array(logs) - np.logaddexp.reduce(logs))
-    return Misfit(image, tuple(
-        Solution(float(share), lengths, ratio, projection @ residuals, projection,
-                 square / max(freedom - 2, 1))
-        for share, (lengths, ratio, projection, square) in zip(shares[1:], fields, strict=True)
-        if share > NEGLIGIBLE_SHARE))
+    shares = np.exp(np.array(logs) - np.logaddexp.reduce(logs, axis=None))             # (l, s)
+    solutions = [_solution(lengths, share * by_ratio, projections, residuals, noises)
+                 for share, (lengths, by_ratio, projections) in zip(shares[1:], fields, strict=True)
+                 if share.sum() > NEGLIGIBLE_SHARE]
+    return Misfit(image, tuple(solutions))
 
 
-def _restricted_likelihood(covariance: FloatArray, trend: FloatArray,
-                           residuals: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-    """Return the restricted log likelihood, P, and r' P r of line and sample (2,).
+def mixed_misfit(misfits: Sequence[tuple[float, Misfit]]) -> Misfit | None:
+    """Return what is missed where each holds with a chance, of the same control; None of none."""
+    if not misfits:
+        return None
+    solutions = [replace(solution, share=chance * solution.share,
+                         variance=chance * solution.variance,
+                         explained=chance * solution.explained, weights=chance * solution.weights)
+                 for chance, misfit in misfits for solution in misfit.solutions if chance > 0.0]
+    return Misfit(misfits[0][1].positions, tuple(solutions))
 
-    The variance s^2 of each axis is integrated out.
-    """
+
+def _by_ratios(lengths: tuple[float, float], image: FloatArray, precise: FloatArray,
+               trend: FloatArray, residuals: FloatArray,
+               noises: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return logarithms of p(r, ratio | length, s) for each axis, (2, r, s), and P, (r, n, n)."""
+    correlation = matern(image, image, lengths)
+    logs = []
+    projections = []
+    for ratio in MISFIT_RATIOS:
+        log, projection = _restricted_likelihood(precise + ratio**2 * correlation, trend, residuals,
+                                                 noises)
+        logs.append(log - np.log(len(MISFIT_RATIOS)))
+        projections.append(projection)
+    return np.stack(logs, axis=1), np.array(projections)
+
+
+def _solution(lengths: tuple[float, float], shares: FloatArray, projections: FloatArray,
+              residuals: FloatArray, noises: FloatArray) -> Solution:
+    """Return the fields of one pair of lengths; `shares` (2, r, s) are of ratios and noises."""
+    squared_ratios = np.square(MISFIT_RATIOS)
+    noise = shares @ noises**2                                  # (2, r): w s^2
+    means = squared_ratios[:, None, None] * (projections @ residuals)
+    return Solution(float(shares[0].sum()), lengths, noise @ squared_ratios,
+                    np.einsum("ar,rnm->anm", noise * squared_ratios**2, projections),
+                    shares.sum(axis=2), means)
+
+
+def _restricted_likelihood(covariance: FloatArray, trend: FloatArray, residuals: FloatArray,
+                           noises: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the restricted log likelihood of line and sample for each noise, (2, s), and P."""
     lower = np.linalg.cholesky(covariance)
     inverse = np.linalg.inv(lower)
     whitened_trend = inverse @ trend
     q, r = np.linalg.qr(whitened_trend)
     root = inverse - q @ (q.T @ inverse)
     projection = root.T @ root
-    square = np.maximum((residuals * (projection @ residuals)).sum(axis=0), np.finfo(float).tiny)
+    squares = (residuals * (projection @ residuals)).sum(axis=0)
     freedom = len(residuals) - trend.shape[1]
-    log = -2 * (np.log(np.diag(lower)).sum() + np.log(np.abs(np.diag(r))).sum()) \
-        - freedom / 2 * np.log(square).sum()
-    return float(log), projection, square
+    log = -freedom * np.log(noises) - 0.5 * squares[:, None] / noises**2
+    return log - np.log(np.diag(lower)).sum() - np.log(np.abs(np.diag(r))).sum(), projection
 
 
 def _trend(image: FloatArray) -> FloatArray:

@@ -187,8 +187,9 @@ class Measured:
     def prior(self, cameras: Cameras) -> tuple[FloatArray, FloatArray]:
         """Return the priors' residuals (s, p) and their robust weights: log f, middle, tilt, place.
 
-        The middle and the tilt have Cauchy distributions, whose minus logarithm is that of 1 + d^2,
-        so that the weight is 2 / (1 + d^2); of the middle it is half of that.
+        The middle and the tilt have Cauchy distributions, whose minus logarithm is that of 1 + d^2.
+        The costs have it twice: their derivative 4 d / (1 + d^2) is that of w d^2 with the weight
+        w = 2 / (1 + d^2).
         """
         offsets = (cameras.middle - self.middle) / self.reach
         residuals = np.column_stack(
@@ -200,7 +201,7 @@ class Measured:
             off = (cameras.position - self.place) / self.place_spread
             residuals = np.column_stack([residuals, np.nan_to_num(off)])
         weights = np.ones_like(residuals)
-        weights[:, 1:3] = 1.0 / (1.0 + (offsets**2).sum(axis=1, keepdims=True))
+        weights[:, 1:3] = 2.0 / (1.0 + (offsets**2).sum(axis=1, keepdims=True))
         tilted = residuals[:, self._tilts]
         # The same of the tilt, whose loss 2 log(1 + x^2) has the weight 2 / (1 + x^2).
         weights[:, self._tilts] = 2.0 / (1.0 + (tilted**2).sum(axis=1, keepdims=True))

@@ -4,10 +4,12 @@ The truth is believed to be a shrunken cubic polynomial (see
 `termsel.adjustment.bayesian.posterior`): its posterior, given the same control points, says how
 likely each other course of the image is between and beyond them. The mean square error of any fit
 at a place is the variance of that posterior there, and the square of the distance of the fit from
-its mean. A model of a kind that the polynomial does not contain, and that predicts left-out
-control no worse than by a standard error, is judged by the propagation of the noise through its
-own adjustment, as is one of lines or of few points. A spline
-or a random field has a variance of its own. To all others comes what the model does not fit
+its mean. A model of a kind that the polynomial does not contain is judged by the propagation of the
+noise through its own adjustment as well: with the chance w that it predicts left-out control better
+than the polynomial, the mean square error is w times the one and 1 - w times the other. Of lines
+and few points it is the propagated noise. All noise is unknown, so that errors have Student's
+distribution with f degrees of freedom, whose variance is f / (f - 2). A spline or a random field
+has a variance of its own. To all others comes what the model does not fit
 (`termsel.fitting.misfit`). Where the control does not tell what a height does, the
 effect of views in general is added (`termsel.fitting.extrapolation.by_heights`).
 """
@@ -15,7 +17,8 @@ effect of views in general is added (`termsel.fitting.extrapolation.by_heights`)
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import erfc
 
 import numpy as np
 
@@ -24,7 +27,7 @@ from termsel.adjustment.bayesian.posterior import Posterior, polynomial_posterio
 from termsel.adjustment.bayesian.predicted_positions import predict_positions
 from termsel.adjustment.equations import weights_of
 from termsel.adjustment.solve import Adjustment
-from termsel.data.features import BoolArray, FeatureSet, FloatArray
+from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points
 from termsel.data.monomials import graded_exponents, monomials
 from termsel.models.base import SensorModel
 
@@ -70,13 +73,86 @@ def spread_of(model: SensorModel, control: FeatureSet, terms: BoolArray, adjustm
         if not least_squares:
             return _unknown(len(ground))
         return _propagated(model, control, terms, adjustment, ground)[0]
+    if not least_squares or model.polynomial_degree is not None:
+        return believed.spread(ground, image)
+    propagated, squares = _propagated(model, control, terms, adjustment, ground)
+    chance = _chance_of_being_less(squares, believed.squares())
+    return _mixed(chance, propagated, believed.spread(ground, image))
+
+
+@dataclass(frozen=True, eq=False)
+class Unexplained:
+    """What one of the courses that the truth may take leaves of the control.
+
+    Attributes
+    ----------
+    chance : float
+        Probability of the course.
+    residuals : ndarray, shape (n, 2)
+        Measured minus computed, scaled.
+    effective : float or None
+        Parameters of both axes together, None where the residuals are not less for them.
+    """
+
+    chance: float
+    residuals: FloatArray
+    effective: float | None
+
+
+def unexplained_by(model: SensorModel, control: FeatureSet, terms: BoolArray,
+                   adjustment: Adjustment, own: Unexplained, *,
+                   least_squares: bool) -> list[Unexplained]:
+    """Return what the courses leave that `spread_of` takes for possible, and how likely each is.
+
+    The residuals of the fit itself are `own`. What separates it from the course is in its spread
+    already, so that only what the course leaves is to be added.
+    """
+    points = control.points
+    interpolation = model.interpolation(control)
+    if interpolation is not None:
+        # A local model has taken up what its points tell: its errors of points held out, of the
+        # size of the noise that it sees, tell the rest.
+        scatter = np.sqrt((interpolation.errors**2).mean())
+        noise = np.sqrt(interpolation.spread(points.ground[:1])[1].mean())
+        residuals = interpolation.errors * noise / max(scatter, np.finfo(float).tiny)
+        return [Unexplained(1.0, residuals, None)]
+    with_heights = sees_heights(lambda positions: model.project(adjustment.coefficients, positions),
+                                points.ground)
+    believed = _Belief.of(model, control, heights=with_heights)
+    if believed is None:
+        return [own]
+    chance = 0.0
     if least_squares and model.polynomial_degree is None:
-        propagated, squares = _propagated(model, control, terms, adjustment, ground)
-        excess = squares - believed.squares()
-        # Within a standard error they predict alike, and the model knows more of what is beyond.
-        if np.isfinite(excess).all() and excess.mean() <= excess.std() / len(excess)**0.5:
-            return propagated
-    return believed.spread(ground, image)
+        squares = _propagated(model, control, terms, adjustment, points.ground[:1])[1]
+        chance = _chance_of_being_less(squares, believed.squares())
+    of_belief = Unexplained(1.0 - chance, believed.residuals(points), believed.effective())
+    return [replace(own, chance=chance), of_belief]
+
+
+def _chance_of_being_less(squares: FloatArray, others: FloatArray) -> float:
+    """Return how likely the one kind of error is the smaller one, from squares at n places.
+
+    The mean difference of their logarithms, by its standard error, is normally distributed: of the
+    squares themselves a few great ones would make everything uncertain.
+    """
+    least = np.finfo(float).tiny
+    excess = np.log(np.maximum(squares, least)) - np.log(np.maximum(others, least))
+    if not np.isfinite(excess).all():
+        return 0.0
+    deviation = excess.std(ddof=1) / len(excess)**0.5
+    if deviation == 0.0:
+        return float(excess.mean() <= 0.0)
+    return 0.5 * erfc(excess.mean() / deviation / 2**0.5)
+
+
+def _mixed(chance: float, first: Spread, second: Spread) -> Spread:
+    """Return the mean square errors where the one spread holds with a chance, else the other."""
+    factors = None
+    if first.factors is not None and second.factors is not None:
+        factors = np.concatenate([chance**0.5 * first.factors,
+                                  (1.0 - chance)**0.5 * second.factors], axis=2)
+    return Spread(chance * first.variance + (1.0 - chance) * second.variance,
+                  chance * first.noise + (1.0 - chance) * second.noise, factors)
 
 
 def sees_heights(project: Callable[[FloatArray], FloatArray], ground: FloatArray) -> bool:
@@ -167,6 +243,17 @@ class _Belief:
         share = posterior.cells.share
         return float(share @ (logarithm - share @ logarithm) ** 2)
 
+    def residuals(self, points: Points) -> FloatArray:
+        """Return measured minus believed of the control points, (n, 2)."""
+        columns = _columns(points.ground, self.degree, self.variables)
+        free = self.variables + 1
+        return points.image - predict_positions(self.posterior, columns[:, :free],
+                                                columns[:, free:]).image
+
+    def effective(self) -> float:
+        """Return the effective parameters of both axes together."""
+        return float(sum(self.posterior.mean(axis)[1] for axis in (0, 1)))
+
     def squares(self) -> FloatArray:
         """Return the squared errors of the points (n,), each by the others."""
         return np.asarray((self.posterior.held_out.errors**2).sum(axis=1))
@@ -202,10 +289,22 @@ def _propagated(model: SensorModel, control: FeatureSet, terms: BoolArray, adjus
     moved_back = 2 * x - moved
     slopes = (model.project(moved, ground) - model.project(moved_back, ground)) \
         / (2 * steps[:, None, None])                                           # (k, m, 2)
-    # The covariance of coefficients is sigma0^2 R^-1 R^-T: factors are sigma0 slopes' R^-1.
+    # The noise has a scaled inverse chi-square distribution, of which sigma0^2 is the scale.
+    noise = adjustment.sigma0**2 * _mean_by_scale(adjustment.redundancy)
+    # The covariance of coefficients is sigma^2 R^-1 R^-T: factors are sigma slopes' R^-1.
     whitened = np.linalg.solve(r.T, slopes.reshape(len(steps), -1))
-    factors = adjustment.sigma0 * whitened.T.reshape(len(ground), 2, len(steps))
+    factors = noise**0.5 * whitened.T.reshape(len(ground), 2, len(steps))
     # A row held out has the error e / (1 - h); those of a feature are added up.
     held_out_squares = np.bincount(equations.feature, (errors / redundancies) ** 2, len(control))
-    return (Spread((factors**2).sum(axis=2), np.full(2, adjustment.sigma0**2), factors),
+    return (Spread((factors**2).sum(axis=2), np.full(2, noise), factors),
             held_out_squares.astype(np.float64))
+
+
+def _mean_by_scale(redundancy: float) -> float:
+    """Return the mean of a scaled inverse chi-square distribution by its scale: f / (f - 2).
+
+    So Student's t, which errors have whose noise is not known, has the variance f / (f - 2). With
+    two degrees of freedom or fewer there is none: then that of three is taken.
+    """
+    freedom = max(redundancy, 3.0)
+    return freedom / (freedom - 2.0)

@@ -10,7 +10,13 @@ from termsel.auto.methods import BY_NAME
 from termsel.core.display.numbers import rounded
 from termsel.core.errors import amount, counted, cut, percent
 from termsel.data.coordinates.crs import LOCAL, short
-from termsel.data.record.figures import MANY_INDEPENDENT, BaselineRow, Outlier
+from termsel.data.record.figures import (
+    FEW_EVALUATIONS,
+    MANY_INDEPENDENT,
+    TOO_FEW,
+    BaselineRow,
+    Outlier,
+)
 from termsel.data.record.record import Record, WhatWasRead
 from termsel.report.accuracy import accuracy_lines, lattice_of, reused_points
 from termsel.report.blocks import Fact
@@ -480,7 +486,11 @@ def _is_shown(note: str) -> bool:
 def _urgent(record: Record) -> Iterator[str]:
     """Yield what must be looked at before any figure is believed."""
     # In the order of how much a wrong answer would cost.
-    if not record.feasible:
+    if not record.feasible and TOO_FEW in record.judgement:
+        yield (f"do not use this fit: a budget of {amount(record.evaluations, 'evaluation')} is "
+               f"too small to find a selection. Allow {FEW_EVALUATIONS:,} or more (--evaluations, "
+               "--seconds)")
+    elif not record.feasible:
         why = "it did not converge" if record.adjustment.converged is False else \
             "it breaks a condition (rank, pole or number of terms)"
         yield f"do not use this fit: {why}. Measure more control points or take a smaller model"

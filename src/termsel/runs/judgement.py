@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from termsel.auto.methods import BY_NAME
-from termsel.core.errors import counted
-from termsel.data.record.figures import MANY_INDEPENDENT
+from termsel.core.errors import amount, counted
+from termsel.data.record.figures import FEW_EVALUATIONS, MANY_INDEPENDENT, TOO_FEW
 from termsel.data.roles import Observations
 from termsel.fitting.diagnosis import PARALLEL, orientation_spread
 from termsel.fitting.extrapolation import warnings_of
@@ -33,7 +33,7 @@ terms."""
 def judge(conventional: str, criterion: str, rmse: Rmses,
           baselines: tuple[Baseline, ...], reference: str, feasible: bool,
           noise: float | None, *, converged: bool = True, method: Method | None = None,
-          blunders: int = 0) -> str:
+          blunders: int = 0, evaluations: int | None = None) -> str:
     """Return one or two sentences that compare the selection with what needs no search.
 
     `conventional` is what the conventional fit uses, such as "all lines"; that fit is the first
@@ -42,11 +42,16 @@ def judge(conventional: str, criterion: str, rmse: Rmses,
     leaves out as such. The criterion is what the search minimised, the RMSE are those of the
     selection by role, like the baselines' without independent points that contradict all others,
     and the noise is the standard deviation of the measurements [px], where it is known. A selection
-    that is not `feasible` may be so because its fit has not `converged`.
+    that is not `feasible` may be so because its fit has not `converged`, or because its search had
+    too few `evaluations`, which are those of a search that its budget ended.
     """
     if not converged:
         return ("The fit of this selection did not converge: its coefficients are those of the "
                 "last step. Do not use it: measure more control points or choose a simpler model.")
+    if not feasible and evaluations is not None and evaluations < FEW_EVALUATIONS:
+        return (f"This selection does not satisfy all conditions, and no better one was found with "
+                f"{amount(evaluations, 'evaluation')}, {TOO_FEW}. Do not use it: search with "
+                f"{FEW_EVALUATIONS:,} evaluations or more.")
     if not feasible:
         return ("This selection does not satisfy all conditions, and no better one was found. It "
                 "has undetermined or too many terms, an axis without terms, or a pole in the "

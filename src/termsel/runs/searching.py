@@ -224,7 +224,8 @@ def finding_of(task: Task, search: SearchResult, auto: Auto,
         return judge(conventional, task.criterion.name, rmse, rivals,
                      reference=comparison.reference, feasible=feasible,
                      noise=task.features.noise, converged=fitted.adjustment.converged,
-                     method=comparison.method, blunders=comparison.blunders)
+                     method=comparison.method, blunders=comparison.blunders,
+                     evaluations=None if task.solver.ends_by_itself else search.evaluations)
 
     notes = (*notes_on_dem(task.features, fitted),
              *notes_on_data(task.features, observations, task.model.uses_height,

@@ -23,6 +23,12 @@ from termsel.data.record.chances import chi_squared_quantile, t_quantile
 CONFIDENCE = 0.9
 """Probability of an interval."""
 
+FEW_EVALUATIONS = 1000
+"""Evaluations below which a search that finds no selection tells nothing of the model."""
+
+TOO_FEW = "which is too few"
+"""What the judgement of a search says whose evaluations were too few to find a selection."""
+
 MANY_INDEPENDENT = 20
 """Number of independent points below which the predicted RMSE is shown before theirs: it varies
 less, and its interval holds more often (docs/evidence/intervals.md)."""
