@@ -256,6 +256,22 @@ def test_half_of_the_bits_are_on_at_first_if_asked() -> None:
     assert not genes[:, 1].any()
 
 
+@pytest.mark.parametrize(("budget", "all_near_half"), [(100, False), (500, True)])
+def test_a_short_search_begins_with_selections_of_all_sizes(budget: int,
+                                                            all_near_half: bool) -> None:
+    problem = problems.trap(78)
+    problem.budget = budget
+    sizes = GeneticAlgorithm().toolbox(problem, rng()).population().sum(axis=1)
+    assert ((sizes > 20) & (sizes < 58)).all() == all_near_half
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_hundred_evaluations_find_a_selection_that_meets_the_conditions(seed: int) -> None:
+    problem = termsel.prepare("rfm-terms").problem
+    found = search(problem, GeneticAlgorithm(), seed=seed, evaluations=100)
+    assert found.violation == 0
+
+
 def test_genes_that_are_no_bits_begin_as_ever() -> None:
     genome = Genome([Bits("b", tuple(f"b{i}" for i in range(80))), Reals("r", ("x",), 2.0, 3.0)])
     genes = first_of(genome, first="half")

@@ -112,12 +112,8 @@ class GeneticAlgorithm(Solver):
         # DEAP's toolbox is a register of functions with their arguments, any of which may be
         # replaced. A GA with a first population of its own has no such option.
         size = self.population_size(problem)
-<<<<<<< HEAD
-        first = o.get("first") or ("shares" if size >= LARGEST_POPULATION else "half")
-=======
         is_short = problem.budget is not None and problem.budget < SHORT_SEARCH
         first = o.get("first") or ("shares" if size >= LARGEST_POPULATION or is_short else "half")
->>>>>>> e261cd8e (Divide the scatter of few points between noise and misfit)
         draw = evenly if first == "half" else Genome.random
         box.register("population", draw, problem.genome, rng, size)
         box.register("evaluate", problem.evaluate)
