@@ -212,7 +212,8 @@ PAGE = """# Errors by their standard deviations
 
 Made by `python -m benchmarks.uncertainty --write`: {seeds} scenes of each kind with 30
 and with 60 control points, {more} with 12; of blocks {block_seeds} and {more_blocks}. The fit is
-the one that auto chooses. A cell is the root mean square of the errors divided by `Fit.sigma`, with its standard error over scenes; 1 is right, above
+the one that auto chooses. A cell is the root mean square of the errors divided by `Fit.sigma`, with
+its standard error over scenes; 1 is right, above
 1 the stated deviations are too small. The truth has no noise and lies within the hull of the
 control in the image.
 

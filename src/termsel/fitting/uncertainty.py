@@ -34,6 +34,9 @@ from termsel.models.base import SensorModel
 BELIEF_DEGREE = 3
 """Degree of the polynomial that the truth is believed to be; that of the model, if higher."""
 
+CLEARLY_WORSE = 0.023
+"""Chance of being the better course where the errors are worse by two standard errors."""
+
 COEFFICIENT_STEP = 1e-6
 """Change of a coefficient, in scaled coordinates, by which a prediction is differentiated."""
 
@@ -76,7 +79,7 @@ def spread_of(model: SensorModel, control: FeatureSet, terms: BoolArray, adjustm
     if not least_squares or model.polynomial_degree is not None:
         return believed.spread(ground, image)
     propagated, squares = _propagated(model, control, terms, adjustment, ground)
-    chance = _chance_of_being_less(squares, believed.squares())
+    chance = _chance_of_model(adjustment.n_terms, squares, believed)
     return _mixed(chance, propagated, believed.spread(ground, image))
 
 
@@ -124,9 +127,22 @@ def unexplained_by(model: SensorModel, control: FeatureSet, terms: BoolArray,
     chance = 0.0
     if least_squares and model.polynomial_degree is None:
         squares = _propagated(model, control, terms, adjustment, points.ground[:1])[1]
-        chance = _chance_of_being_less(squares, believed.squares())
+        chance = _chance_of_model(adjustment.n_terms, squares, believed)
     of_belief = Unexplained(1.0 - chance, believed.residuals(points), believed.effective())
     return [replace(own, chance=chance), of_belief]
+
+
+def _chance_of_model(terms: int, squares: FloatArray, believed: _Belief) -> float:
+    """Return how likely a model is the better course, from its squared held-out errors (n,).
+
+    One with no more terms than an affine polynomial knows the rest from elsewhere, as from a
+    vendor's RPC, and so more of what lies beyond the points than they can tell: it is the course
+    unless it predicts them clearly worse.
+    """
+    chance = _chance_of_being_less(squares, believed.squares())
+    if terms <= 2 * (believed.variables + 1):
+        return float(chance >= CLEARLY_WORSE)
+    return chance
 
 
 def _chance_of_being_less(squares: FloatArray, others: FloatArray) -> float:
