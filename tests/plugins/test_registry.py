@@ -77,7 +77,7 @@ def test_parts_of_plugins_are_asked_for_and_what_is_none_is_told(install, regist
         @hookimpl
         def termsel_parts(): return ["study"]""")
     known = registry()
-    assert [(part.place, part.value) for part in known.parts()] == [("study", 1), ("scheduler", 2)]
+    assert [(part.slot, part.value) for part in known.parts()] == [("study", 1), ("scheduler", 2)]
     assert "returned an object of type str, not a Part" in capsys.readouterr().err
 
 
