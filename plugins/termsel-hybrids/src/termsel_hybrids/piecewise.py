@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import Delaunay, QhullError
 
 from termsel import Option, Polynomial2D
+
+if TYPE_CHECKING:
+    from scipy.spatial import Delaunay
 
 FloatArray = NDArray[np.float64]
 
@@ -70,6 +73,8 @@ def _shares(positions: FloatArray, places: FloatArray) -> FloatArray:
 @lru_cache(maxsize=8)
 def _triangles(positions: bytes) -> Delaunay | None:
     """Return the triangles of positions; None of fewer than three, or of some on a line."""
+    from scipy.spatial import Delaunay, QhullError  # which other models need not import
+
     points = np.frombuffer(positions).reshape(-1, 2)
     if len(points) < 3:
         return None
