@@ -72,15 +72,30 @@ def spread_of(model: SensorModel, control: FeatureSet, terms: BoolArray, adjustm
     with_heights = sees_heights(lambda positions: model.project(adjustment.coefficients, positions),
                                 ground)
     believed = _Belief.of(model, control, heights=with_heights)
-    if believed is None:
-        if not least_squares:
-            return _unknown(len(ground))
+    if believed is None and least_squares:
         return _propagated(model, control, terms, adjustment, ground)[0]
+    if believed is None:
+        believed = _belief_of_points(model, control, heights=with_heights)
+        return _unknown(len(ground)) if believed is None else believed.spread(ground, image)
     if not least_squares or model.polynomial_degree is not None:
         return believed.spread(ground, image)
     propagated, squares = _propagated(model, control, terms, adjustment, ground)
     chance = _chance_of_model(adjustment.n_terms, squares, believed)
     return _mixed(chance, propagated, believed.spread(ground, image))
+
+
+def _belief_of_points(model: SensorModel, control: FeatureSet, *, heights: bool) -> _Belief | None:
+    """Return what the points say of the truth where lines take part, too.
+
+    Coefficients that are not by least squares have no propagation with lines. The points alone tell
+    less than both do, so that errors are not understated; of not many more points than an affine
+    model needs they would be overstated many times, and nothing is said.
+    """
+    affine_columns = 4 if heights else 3
+    points = control.take(np.arange(len(control)) < len(control.points))
+    if len(points) < 3 * affine_columns:
+        return None
+    return _Belief.of(model, points, heights=heights)
 
 
 @dataclass(frozen=True, eq=False)
