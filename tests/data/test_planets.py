@@ -135,6 +135,6 @@ def test_fits_in_other_coordinates(fit_crs: str) -> None:
 
 
 def test_geocentric_coordinates_are_of_the_earth() -> None:
-    with pytest.raises(TermselError, match="known of the Earth alone, and the control is on Mars"):
+    with pytest.raises(TermselError, match="for the Earth only, and the control is on Mars"):
         termsel.prepare("poly-terms", features=scene(*BODIES[0][:4]),  # type: ignore[arg-type]
                         model="poly3d", options={"fit_crs": "geocentric"})

@@ -96,7 +96,9 @@ class Estimator(ABC):
         The scaled residuals (n, 2) are those of the fit, all that an estimator leaves that has a
         spread of its own.
         """
-        own = Unexplained(1.0, residuals, fitted.effective)
+        # Of coefficients from elsewhere nobody knows how many parameters they are worth.
+        effective = fitted.effective if np.isfinite(fitted.effective) else None
+        own = Unexplained(1.0, residuals, effective)
         if type(self).spread is not Estimator.spread:
             return [own]
         return unexplained_by(fitted.model, fitted.scaled_control.take(fitted.used), fitted.terms,

@@ -22,6 +22,12 @@ FloatArray = NDArray[np.float64]
 class _AgeSurvival(AGEMOEA2Survival):
     """pymoo's, which divides by zero if a member is best in every objective."""
 
+    def _do(self, problem: PymooProblem, *args: Any, **arguments: Any) -> Any:
+        # A member of a further front that is on the ideal point is at no distance from it: its
+        # crowding is infinite.
+        with np.errstate(divide="ignore"):
+            return super()._do(problem, *args, **arguments)
+
     @staticmethod
     def pairwise_distances(front: FloatArray, p: float) -> FloatArray:
         """Return distances along the estimated front, shape (m, m)."""
