@@ -18,6 +18,7 @@ from rasterio.transform import Affine
 import termsel
 from termsel import TermselError
 from termsel_app.journal import JOURNAL_NAME, open_journal
+from termsel_app.quality import prediction_errors
 from termsel_app.session import Files, Session, open_session
 
 
@@ -317,3 +318,15 @@ def test_control_is_written_as_termsel_reads_it(scan: Path, ortho: Path, tmp_pat
     np.testing.assert_array_equal(again.points.image, features.points.image)
     np.testing.assert_array_equal(again.points.ground, features.points.ground)
     np.testing.assert_array_equal(again.lines.image, features.lines.image)
+
+
+def test_every_point_has_a_prediction_error_of_its_own() -> None:
+    """Selection points join the fit of a choice, and are held out of it like control."""
+    scene = termsel.simulate_scene("ikonos-hamedan", n_lines=0, roles=(20, 12, 10))
+    result = termsel.run(features=scene)
+    errors = prediction_errors(result)
+    used = {row.id for row in result.residuals if row.used}
+    assert errors.keys() == set(scene.ids)
+    assert {"check"} == {row.role for row in result.residuals if row.used} - {"control"}
+    residuals = {row.id: row.distance for row in result.residuals}
+    assert np.mean([errors[name] > residuals[name] for name in used]) > 0.8

@@ -197,21 +197,30 @@ def errors(result: Result) -> dict[str, Answer]:
 def prediction_errors(result: Result) -> dict[str, float]:
     """Return how far off each feature is where the others alone predict it [px].
 
-    Of control by the chosen model without it; of all others their residuals are just that.
+    Of what the model is fitted to, selection points included, by the chosen model without it; of
+    all others their residuals are just that.
     """
     table = {row.id: row.distance for row in result.residuals
              if row.kind == "point" and not row.used}
-    # Without blunders, which would spoil what the others predict.
-    control = result.fit.control.take(np.asarray(result.fit.used))
     if result.strategy is None:
         return table
     try:
-        held_out = termsel.fit(control, result.strategy.chosen).leave_one_out
+        held_out = termsel.fit(_fitted_to(result), result.strategy.chosen).leave_one_out
     except TermselError:  # without some feature the fit is not determined
         return table
     for row in held_out:
         table[row.id] = max(row.distance, table.get(row.id, 0.0))
     return table
+
+
+def _fitted_to(result: Result) -> FeatureSet:
+    """Return what a choice is fitted to as control, without blunders, which spoil predictions."""
+    ids = result.record.fit.features
+    if ids is None:  # there are no selection points
+        return result.fit.control.take(np.asarray(result.fit.used))
+    features = result.features.take(np.isin(result.features.ids, ids))
+    return features.with_(points=replace(features.points,
+                                         roles=("control",) * len(features.points)))
 
 
 def chosen_lines(features: FeatureSet) -> Answer:
