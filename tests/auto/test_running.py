@@ -50,7 +50,7 @@ def test_selected_lines_beat_all_lines_on_independent_points() -> None:
     assert result.rmse["independent"].total < 0.7 * everything
     assert plain(result.data.counts) == {"control": 0, "check": 24, "independent": 26,
                                          "lines": 120, "off": 24}
-    assert any("control points of the file stay out" in note for note in result.notes)
+    assert any("control points of the file are unused" in note for note in result.notes)
 
 
 def test_independent_figures_are_recomputed_by_hand() -> None:

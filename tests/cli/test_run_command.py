@@ -51,7 +51,7 @@ def test_own_files_run_and_write_the_result(files: Path, tmp_path: Path, call: C
                 *QUICK)
     assert done.exit_code == 0, done.stderr
     assert "RMSE [px], with 90 % intervals" in done.stdout
-    assert (out / "summary.txt").read_text() == done.stdout
+    assert done.stdout.startswith((out / "summary.txt").read_text())
     assert json.loads((out / "result.json").read_text())["data"]["counts"]["lines"] == 120
 
 
@@ -286,9 +286,9 @@ def test_a_result_is_replaced_only_where_that_is_asked_for(
     first = call(*words)
     written = [line.removeprefix("Written: ") for line in first.stderr.splitlines()
                if line.startswith("Written: ")]
-    assert written[0] == f"{tmp_path}/result.json, residuals.csv, summary.txt, points.csv"
-    assert written[1] == ", ".join(str(tmp_path / f"result_geolocation{end}")
-                                   for end in (".vrt", "_xy.tif"))
+    assert written == [", ".join(str(tmp_path / f"result_geolocation{end}")
+                                 for end in (".vrt", "_xy.tif"))]
+    assert f"Saved     {tmp_path}" in first.stdout
     before = {file: file.read_bytes() for file in tmp_path.iterdir()}
     assert len(before) == 6
     again = call(*words)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -158,7 +159,7 @@ def test_a_result_shows_structure_points_blunders_and_accuracy() -> None:
     assert shown[0].startswith("<Result: ")
     assert shown[2:4] == ["  fitted to: 39 points; exported: fitted to 59",
                           f"  blunders left out: {features.points.ids[0]}"]
-    assert shown[4].endswith("m on the ground (RMSE of 20 independent check points).")
+    assert re.search(r"px / [\d.]+ m +RMSE at 20 independent check points", shown[4])
 
 
 @pytest.mark.slow
