@@ -195,12 +195,13 @@ def _by_method(methods: tuple[str, ...]) -> dict[str, Any]:
     alt = require_altair()
     number = len(METHODS)
     columns = alt.ExprRef("(containerSize()[0] || 560) < 480 ? 2 : 4")
-    # One for both.
+    # One for all three.
     legend = alt.Legend(columns=columns, symbolType="stroke", symbolOpacity=1)
     widths = np.linspace(5.0, 1.6, len(methods)) if len(methods) > 1 else [2.0]
     return {
-        "strokeWidth": alt.StrokeWidth("method:N", legend=None, scale=alt.Scale(
-            domain=list(methods), range=[round(float(width), 2) for width in widths])),
+        "strokeWidth": alt.StrokeWidth(
+            "method:O", sort=list(methods), legend=legend, scale=alt.Scale(
+                domain=list(methods), range=[round(float(width), 2) for width in widths])),
         "color": alt.Color("method:N", legend=legend, scale=alt.Scale(
             domain=list(methods), range=[METHODS[i % number] for i in range(len(methods))])),
         "strokeDash": alt.StrokeDash("method:N", legend=legend, scale=alt.Scale(
