@@ -46,7 +46,7 @@ def plane(n: int, mirrored: bool) -> FeatureSet:
                              image + rng.normal(0, 0.3, (n, 2)), ground), crs="local")
 
 
-@pytest.mark.parametrize(("kept", "n", "told"), [(True, 7, ""), (False, 7, "some 2 s longer"),
+@pytest.mark.parametrize(("kept", "n", "told"), [(True, 7, ""), (False, 7, "some 5 s longer"),
                                                  (False, 4, "")])
 def test_auto_announces_only_what_it_compiles_itself(
         kept: bool, n: int, told: str, monkeypatch: pytest.MonkeyPatch,

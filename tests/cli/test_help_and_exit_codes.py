@@ -12,11 +12,11 @@ import pytest
 
 from termsel import __version__
 from termsel.__main__ import ALLOCATIONS
-from termsel.cli import tables
+from termsel.cli import main, tables
 from termsel.cli.main import cli
 from termsel.core.errors import unknown_name
 from termsel.plugins import registry as manager
-from termsel.plugins.commands import COMMANDS
+from termsel.plugins.commands import COMMANDS, PACKAGES
 from termsel.plugins.kinds import KINDS
 from termsel.plugins.registry import Registry
 from termsel.runs.request import DATA_OPTIONS
@@ -129,6 +129,16 @@ def test_help_tells_all_commands_as_they_tell_themselves(call):
         command = cli.get_command(None, name)
         assert command.help.partition("\n")[0] == summary
         assert call(name, "--help").exit_code == 0
+
+
+def test_help_has_no_group_whose_packages_are_not_installed(call, monkeypatch):
+    monkeypatch.setattr(main, "find_spec", lambda _: None)
+    done = call("--help")
+    assert done.exit_code == 0
+    assert "\nFit:\n" in done.stdout
+    assert "Images:" not in done.stdout
+    assert not [name for commands in PACKAGES.values() for name in commands
+                if f"\n  {name} " in done.stdout]
 
 
 @pytest.mark.parametrize("name", COMMANDS)

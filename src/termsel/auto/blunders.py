@@ -35,7 +35,7 @@ from termsel.adjustment.bayesian.field import GaussianProcess
 from termsel.adjustment.bayesian.held_out import chance_of
 from termsel.auto.auto import Auto
 from termsel.auto.contradictions import FALSE_ALARM, MIN_STRAIN, Division, Test, polynomial_of
-from termsel.auto.majority import MIN_POINTS, majority
+from termsel.auto.majority import MAX_BLUNDER_SHARE, MIN_POINTS, majority
 from termsel.auto.memory import Memory
 from termsel.auto.robust import reweighted
 from termsel.auto.shrunken import Averaging
@@ -50,9 +50,6 @@ TestOfAll = Callable[[], Test | None]
 
 TestOf = Callable[[Division], Test | None]
 """A test by the features in use."""
-
-MAX_BLUNDER_SHARE = 1 / 3
-"""Largest share of blunders, but for those that a majority of many points contradicts."""
 
 MIN_MINORITY = 1 / 4
 MAX_MINORITY = 1 / 2

@@ -26,8 +26,8 @@ MIN_POINTS = 40
 MIN_SEEN_POINTS = 20
 """Points below which it cannot be seen whether half of them agree."""
 
-MIN_MINORITY = 1 / 3
-"""Share of points beyond which those that disagree hide each other from the usual search."""
+MAX_BLUNDER_SHARE = 1 / 3
+"""Largest share of blunders that the usual search finds: more of them hide each other."""
 
 SAMPLES = 2000
 """Random samples of each degree: of ten points, half of them wrong, two samples have none."""
@@ -72,7 +72,7 @@ def majority(control: FitData) -> BoolArray | None:
     half[sampled] = _closest_half(design[sampled], scaled.image[sampled], is_affine, rng)
     agreeing, noise = _agreeing(design, scaled.image, half)
     minority = ~agreeing
-    if minority.mean() <= MIN_MINORITY or agreeing.sum() < n // 2:
+    if minority.mean() <= MAX_BLUNDER_SHARE or agreeing.sum() < n // 2:
         return None
     strains = _errors(design, scaled.image, agreeing)[minority] / noise
     if np.median(strains) < GROSS_STRAIN or not _interleaved(scaled.ground[sampled],

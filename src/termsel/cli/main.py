@@ -105,9 +105,11 @@ class Commands(click.Group):
                 summaries |= commands
         width = max(map(len, summaries))
         for group, names in GROUPS.items():
-            with formatter.section(group):
-                formatter.write_dl([(name.ljust(width), summaries[name]) for name in names
-                                    if name in summaries])
+            rows = [(name.ljust(width), summaries[name]) for name in names if name in summaries]
+            # Without further packages a group may be empty, which write_dl does not take.
+            if rows:
+                with formatter.section(group):
+                    formatter.write_dl(rows)
 
     def make_context(
         self, info_name: str | None, args: list[str], parent: click.Context | None = None,

@@ -47,19 +47,20 @@ def report(folder: Path, output: Path | None, image: str | None, overwrite: bool
     from termsel.studies.cells.images import IMAGES
     from termsel.studies.outputs import page as study_page
 
-    # A page must not replace what it is made of.
-    study_files = [folder / PLAN, folder / JOURNAL, *(folder / IMAGES).glob("*")]  # of a study
-    require_replaceable([output], reads=[folder, image, *study_files], overwrite=overwrite)
-    if (folder / PLAN).is_file():
-        if image is not None:
-            raise TermselError("--image is for the page of one result, and this is a study",
-                               file=folder, hint=f"Leave --image out, or give the folder of one "
-                                                 f"image in {folder / IMAGES}.")
-        write_text(output, study_page(read_study(folder)))
-    elif not any(map(is_there, files_of_result(folder))):
+    is_study = (folder / PLAN).is_file()
+    if not is_study and not any(map(is_there, files_of_result(folder))):
         raise TermselError("there is neither a result nor a study in this folder", file=folder,
                            hint="Give the folder that termsel run or termsel compare wrote with "
                                 "--out.")
-    else:
+    # A page must not replace what it is made of.
+    study_files = [folder / PLAN, folder / JOURNAL, *(folder / IMAGES).glob("*")]
+    require_replaceable([output], reads=[folder, image, *study_files], overwrite=overwrite)
+    if not is_study:
         read_result(folder).report(output, image=image, overwrite=True)
+    elif image is None:
+        write_text(output, study_page(read_study(folder)))
+    else:
+        raise TermselError("--image is for the page of one result, and this is a study",
+                           file=folder, hint=f"Leave --image out, or give the folder of one "
+                                             f"image in {folder / IMAGES}.")
     say_written([output])

@@ -39,7 +39,7 @@ from termsel.selection.solvers.observers import Observer
 
 log = logging.getLogger(__name__)
 
-SEARCH_COMPILES, AUTO_COMPILES = 4, 2
+SEARCH_COMPILES, AUTO_COMPILES = 4, 5
 """Seconds that the first run of a search, and of the strategy auto, spends on compilation."""
 
 
