@@ -96,9 +96,9 @@ def _name_in_vrt(image: Path, folder: Path) -> str:
     """Return the name of an image as seen from the folder of a VRT, if that can hold it."""
     # What is in an archive has no way from a folder.
     name = str(gdal_name(image)) if str(image).startswith("/vsi") else relative(image, folder)
-    if not is_xml_text(name.encode(errors="ignore").decode()):
-        raise TermselError("the name of this image has control characters, which no virtual "
-                           "raster can represent", file=image, hint="Rename it.")
+    if not is_xml_text(name):
+        raise TermselError("the name of this image has control characters, or is not UTF-8, which "
+                           "no virtual raster can represent", file=image, hint="Rename it.")
     return name
 
 
@@ -143,7 +143,9 @@ def _pixels_of(name: str, number: str, size: tuple[int, int], lookup: Sequence[i
 
 def relative(path: Path, folder: Path) -> str:
     """Return the name of a file as seen from a folder; absolute where there is no way."""
+    # A file that is a link is named itself: the other's name may be one that GDAL does not take.
+    file = path.parent.resolve() / path.name
     try:
-        return os.path.relpath(path.resolve(), folder.resolve())
+        return os.path.relpath(file, folder.resolve())
     except ValueError:  # on another drive
-        return str(path.resolve())
+        return str(file)

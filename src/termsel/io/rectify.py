@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -158,7 +159,8 @@ def rectify(
         if bounds is not None:
             grid = within(grid, bounds, result.features.crs)
         surface = stack.enter_context(surface_of(dem, result.features.crs, level))
-        source, options = _source(result, pixels.plain, folder / "scene.vrt", surface, grid)
+        warped = replace(pixels.plain, path=Path(stack.enter_context(utf8_name(image))))
+        source, options = _source(result, warped, folder / "scene.vrt", surface, grid)
         # Positions are computed here where GDAL's warper cannot: by any model but an RPC.
         positions = None if options is not None else MapPositions(
             result.fit, grid.crs, surface, footprint_of(result, level))

@@ -8,6 +8,7 @@ from termsel.core.files.drivers import program_environment as program_environmen
 from termsel.core.files.drivers import remote_allowed as remote_allowed
 from termsel.core.files.names import STABILITY as STABILITY
 from termsel.core.files.names import refuse_links as refuse_links
+from termsel.core.files.names import utf8_name as utf8_name
 from termsel.core.files.reasons import reason_of as reason_of
 from termsel.core.files.texts import cell_text as cell_text
 from termsel.core.files.texts import guarded as guarded

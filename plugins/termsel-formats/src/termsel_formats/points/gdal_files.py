@@ -7,6 +7,7 @@ same auxiliary file: source coordinates with rows that may be negative, which GD
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
 from xml.etree import ElementTree
@@ -15,7 +16,15 @@ import numpy as np
 
 from termsel import FeatureSet, Option, Reader, Result, TermselError, open_raster
 from termsel.toolkit import normalise, picture_for, private_folder, with_dataset, write_text
-from termsel.toolkit.files import atomic_path, encoded, gcps_of, reason_of, vrt_text, xml_attribute
+from termsel.toolkit.files import (
+    atomic_path,
+    encoded,
+    gcps_of,
+    reason_of,
+    utf8_name,
+    vrt_text,
+    xml_attribute,
+)
 from termsel_formats.points.common import CORNER, points_of, what_lacks, xml_root
 from termsel_formats.points.written import IMAGE, PointsWriter, say_by_gdal
 
@@ -132,12 +141,15 @@ class GcpTiff(PointsWriter):
         used, gcps, crs = gcps_of(result)
         image = self.options["image"]
         picture = picture_for(result, None if image is None else Path(image).absolute())
-        with private_folder() as folder, atomic_path(path) as unfinished:
+        # GDAL takes names in UTF-8 alone; those of the user need not be.
+        with (private_folder() as folder, atomic_path(path) as unfinished,
+              utf8_name(picture.path or folder) as name_of_picture):
             source = folder / "gcps.vrt"
+            if picture.path is not None:
+                picture = replace(picture, path=Path(name_of_picture))
             source.write_bytes(encoded(vrt_text(picture, folder, gcps=gcps, crs=crs)))
             with open_raster(source) as raster:
                 try:
-                    # rasterio takes names in UTF-8 alone; that of the user need not be.
                     with_dataset(raster, _copy, folder / "copy.tif", image is None)
                 except (RasterioError, CPLE_BaseError) as error:
                     raise TermselError(
