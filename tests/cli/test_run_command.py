@@ -19,6 +19,7 @@ import pytest
 from termsel.core.errors import TermselError
 from termsel.data.features import select
 from termsel.formats.readers.csv_tables import write_lines_csv, write_points_csv
+from termsel.plugins import registry as registries
 from termsel.runs.run import run as termsel_run
 from termsel.simulate import simulate_scene
 
@@ -397,3 +398,13 @@ def test_a_process_of_its_own_says_the_same(words: list[str], call: Call) -> Non
     done, here = termsel("run", *words), call("run", *words)
     assert (done.returncode, done.stdout, done.stderr) == (2, "", here.stderr)
     assert here.exit_code == 2
+
+
+def test_an_rpc_that_no_package_corrects_is_refused(example_files: Path, call: Call,
+                                                    monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(registries, "registry", lambda: registries.Registry([]))
+    refused = call("run", "--points", example_files / "gcps.csv", "--rpc",
+                   example_files / "vendor.RPB")
+    assert refused.exit_code == 2
+    assert "vendor.RPB: no installed package corrects an RPC. It comes with the package " \
+           "termsel-rpc" in refused.stderr

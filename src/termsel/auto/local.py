@@ -54,7 +54,7 @@ class Interpolated(Estimator):
                                hint="Measure more control, spread over the area.")
         if isinstance(interpolation, GaussianProcess
                       ) and interpolation.probability <= required_probability(interpolation):
-            raise Undetermined("the points do not support a random field: its probability is "
+            raise Undetermined("the points do not show local deformation: its probability is "
                                f"{interpolation.probability:.2g}", hint="Choose a polynomial.")
         plain = LeastSquares(iterated=False).fit(model, control, scaling, terms, used)
         errors = interpolation.errors * scaling.image_scale

@@ -84,7 +84,7 @@ class ThinPlate(Interpolating):
 
 
 class Field(Interpolating):
-    """2-D polynomial with a random field: collocation, averaged over its scales.
+    """2-D polynomial with local deformation: collocation, averaged over its scales.
 
     A regularised cubic polynomial of X and Y, a stationary random field with Matern covariance, for
     what is local, and noise. The lengths, size and noise of the field are not set: solutions on
@@ -108,7 +108,7 @@ class Field(Interpolating):
 
 
 class Field3D(Field):
-    """3-D polynomial with a random field: `field` with a polynomial of X, Y and Z."""
+    """3-D polynomial with local deformation: `field` with a polynomial of X, Y and Z."""
 
     name = "field3d"
     variables = 3

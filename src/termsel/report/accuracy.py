@@ -52,8 +52,11 @@ def accuracy_lines(record: Record) -> list[str]:
         # nothing.
         if predicted.high < _ROUNDING_PX:
             return ["the points fit exactly", _measured(accuracy), *_doubts(record, accuracy)]
-        measured = _measured(accuracy).replace("RMSE at", "at")  # the line above names it
-        return [_prediction(predicted), f"{measured}{_agreement(accuracy, predicted)}",
+        # The line above says that this is an RMSE, and the level of the interval.
+        measured = _measured(accuracy).replace("RMSE at", "at")
+        level = f"[{100 * predicted.level:.0f} %: "
+        return [_prediction(predicted),
+                f"{measured.replace(level, '[')}{_agreement(accuracy, predicted)}",
                 *_doubts(record, accuracy)]
     return [_measured(accuracy), f"{PREDICTED_BY} {rounded(predicted.rmse)} px"
             f"{_agreement(accuracy, predicted)}", *_doubts(record, accuracy)]

@@ -88,7 +88,8 @@ def _labelled(label: str, lines: Iterable[str]) -> Iterator[Fact]:
 
 def _height(fact: Fact) -> int:
     """Return how many lines of text a fact takes."""
-    return 1 + len(fact.text) // (_WIDTH if fact.label else _FULL_WIDTH)
+    width = _WIDTH if fact.label else _FULL_WIDTH
+    return max(1, -(-len(fact.text) // width))
 
 
 def _data(record: Record, brief: int) -> Iterator[Fact]:
@@ -249,9 +250,14 @@ def _counted_outliers(record: Record) -> list[str]:
     rejected, used, independent = _grouped(record)
     if not any((rejected, used, independent)):
         return outlier_lines(record)
-    in_use = len(used) + len(independent)
-    return [f"{len(rejected) + in_use} detected, {in_use or 'none'} of them in use; --verbose "
-            "lists them"]
+    counts = []
+    if rejected:
+        counts.append(f"{len(rejected)} rejected")
+    if used:
+        counts.append(f"{len(used)} still in use")
+    if independent:
+        counts.append(counted(len(independent), "independent check point"))
+    return [f"{', '.join(counts)}; --verbose lists them"]
 
 
 def _counted(outliers: Sequence[Outlier], noun: str) -> str:
@@ -345,8 +351,8 @@ def _against(record: Record, rival: BaselineRow) -> Iterator[str]:
     verdict = _verdict(record, own_rmse, rival_rmse)
     if record.strategy is not None and not _by_points(record):
         # In leave-one-out the RMSE of this model is not the figure shown above.
-        yield (f"{name} {rounded(rival_rmse)} px in leave-one-out, this model "
-               f"{rounded(own_rmse)} px: {verdict}")
+        yield (f"{name} {rounded(rival_rmse)} px, this model {rounded(own_rmse)} px in "
+               f"leave-one-out: {verdict}")
     else:
         yield f"{name} {rounded(rival_rmse)} px: {verdict}"
     if _shift_of(record):
@@ -393,7 +399,7 @@ def _verdict(record: Record, own_rmse: float, rival_rmse: float) -> str:
             return f"{_times(rival_rmse / own_rmse)} as large"
         # The choice has kept to the simpler model, or averages, where the difference is small.
         chosen = len(record.strategy.candidates) > 1
-        return "the difference may be chance" if chosen and own_rmse <= _CHANCE * rival_rmse else \
+        return "may be chance" if chosen and own_rmse <= _CHANCE * rival_rmse else \
             f"{label_of(record.reference)} is better by {100 * (1 - rival_rmse / own_rmse):.0f} %"
     if similar:
         return "the search gains nothing"

@@ -81,7 +81,7 @@ class FieldOverRpc:
 
 
 class RpcField(RpcAffine):
-    """Vendor's RPC with a random field: collocation over its image positions.
+    """Vendor's RPC with local deformation: collocation over its image positions.
 
     The image is a shrunken cubic polynomial of where the RPC sees a ground point, and a stationary
     random field there, averaged over scales as in the model ``field``. Heights enter by the RPC
@@ -129,15 +129,15 @@ class Local(Estimator):
         """Fit the field (see `Estimator.fit`) by points in use."""
         in_use = control.take(used)
         if len(in_use.lines):
-            raise Undetermined("a random field takes control points alone, and there are control "
-                               "lines", hint="Leave the lines out, or choose rpc-affine.")
+            raise Undetermined("local deformation takes control points alone, and there are "
+                               "control lines", hint="Leave the lines out, or choose rpc-affine.")
         ready = model.prepared(scaling, control.crs)
         field = ready.interpolation(scaling.features(in_use))
         if field is None:
-            raise Undetermined(f"{used.sum()} control points are too few for a random field",
+            raise Undetermined(f"{used.sum()} control points are too few for local deformation",
                                hint="Measure more control, spread over the area.")
         if field.probability <= LIKELY:
-            raise Undetermined("the points do not support a random field over the RPC: its "
+            raise Undetermined("the points do not show local deformation beyond the RPC: its "
                                f"probability is {field.probability:.2g}",
                                hint="Choose rpc-affine, or --strategy auto.")
         solution = Solution(
@@ -169,23 +169,24 @@ class LocalRpc(CorrectedRpc):
         gain = np.log(np.maximum(without.held_out().squares, tiny)
                       / np.maximum(with_field.held_out().squares, tiny)).mean()
         if gain <= 0:
-            raise Undetermined("corrections of the RPC alone predict left-out points as well as a "
-                               "random field does", hint="Choose rpc-affine, or --strategy auto.")
+            raise Undetermined("corrections of the RPC alone predict left-out points as well as "
+                               "local deformation does",
+                               hint="Choose rpc-affine, or --strategy auto.")
         return with_field
 
     def describe(self, fitted: Fit) -> str:
         """Return how likely the field is."""
         field = fitted.interpolation
         assert isinstance(field, FieldOverRpc)
-        return (f"The points support local corrections of the vendor's RPC: the probability of a "
-                f"random field is {field.probability:.3g}; it must exceed {LIKELY:g}.")
+        return (f"The points show local deformation beyond the vendor's RPC, with a probability of "
+                f"{field.probability:.3g}; it must exceed {LIKELY:g}.")
 
     def suspects(self, control: FitData) -> None:
         """Return None: the corrections with a prior look for blunders."""
 
 
 CANDIDATE = LocalRpc(
-    "rpc-with-field", "the vendor's RPC with a random field", short="RPC, random field",
+    "rpc-with-field", "the vendor's RPC with local deformation", short="RPC, local deformation",
     estimator=Local(), has_prior=True, from_one=True, family="corrections of the RPC",
     contains=("rpc", "rpc-as-delivered", "rpc-shifted", "rpc-drifted", "rpc-by-affine"))
 """A random field over the RPC."""

@@ -272,6 +272,7 @@ class RunOptions:
             options.setdefault("areas_as", "centroid")
         if not self.files:
             return None, options
+        self._require_correction()
         # Options of reading stand under --set with all others, and are told apart by their names.
         of_reading = {option.name: options.pop(option.name) for option in read_options()
                       if option.name in options} if options else {}
@@ -288,6 +289,17 @@ class RunOptions:
         return read(self.points, self.lines, areas=self.areas, crs=self.crs, format=self.formats,
                     dem=self.dem, rpc=self.rpc, image=self.image, **of_reading,
                     **{**arguments, **of_readers}), options
+
+    def _require_correction(self) -> None:
+        """Refuse an RPC that somebody names, and that no installed package corrects."""
+        from termsel.plugins.registry import registry
+
+        # An image may have an RPC that nobody asked for; a model may have one as an option.
+        asked = (self.problem, self.model, self.method, self.solver)
+        if self.rpc is None or any(name is not None for name in asked):
+            return
+        if missing := registry().missing("rpc-gcps"):
+            raise TermselError(f"{self.rpc}: no installed package corrects an RPC", hint=missing)
 
     def command(self, problem: str, solver: str, criterion: str,
                 settings: Mapping[str, str]) -> str:
