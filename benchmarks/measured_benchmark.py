@@ -2,7 +2,7 @@
 
 ``python -m benchmarks.measured_benchmark --write`` makes docs/evidence/measured.md. With
 ``--kept FILE`` scores are kept, and a repeated command goes on from there. Peers that are not
-installed have no result. It takes half an hour.
+installed have no result. It takes a quarter of an hour.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def page(scored: Sequence[Score]) -> str:
              f"{BOUND}, of those that it has a result on.", "",
              _table(["method", "sets with a result", "within 5 %", f"within {BOUND}"],
                     [_near(scored, best, title) for title in dict.fromkeys(
-                        each.method.title for each in scored)]), "",
+                        each.method.title for each in scored)]), "", *_by_kind(scored, best), "",
              "## Where auto loses", "",
              f"`auto` loses by more than 2 % on {len(lost)} of {len(sets)} sets; those with the "
              "largest ratios:", "",
@@ -91,6 +91,21 @@ def page(scored: Sequence[Score]) -> str:
                       f"{winner.rmse:.2f}", f"{loss.rmse / winner.rmse:.2f}"]
                      for loss, winner in lost[:40]]), ""]
     return "\n".join(lines) + "\n"
+
+
+def _by_kind(scored: Sequence[Score], best: dict[str, float]) -> Iterator[str]:
+    """Yield how auto stands on each kind, next to the best of its rivals there."""
+    for kind in dict.fromkeys(each.kind for each in scored):
+        ratios: dict[str, list[float]] = {}
+        for each in scored:
+            if each.kind == kind:
+                ratios.setdefault(each.method.title, []).append(ratio(each, best))
+        near = {title: sum(value <= NEAR for value in values) for title, values in ratios.items()}
+        of_auto = ratios.pop(AUTO.title)
+        rival = max(ratios, key=lambda title: near[title])
+        yield (f"- {kind}: `auto` is within 5 % of the best on {near[AUTO.title]} of "
+               f"{len(of_auto)}, the rival that is so most often, `{rival}`, on {near[rival]}; "
+               f"`auto` is within {BOUND} on {sum(value <= BOUND for value in of_auto)}.")
 
 
 def _near(scored: Sequence[Score], best: dict[str, float], title: str) -> list[str]:
@@ -111,7 +126,9 @@ them. Each point is hidden once, in frozen folds, and judges what a method makes
 the matches a method sees an eighth. The figure of a set is the median distance of all hidden points
 [px], as a median is not led astray by hidden blunders. The table has the median ratio of this
 figure to the least of all methods on the set. Photos have 6 to 14 points, so that their figures are
-rough. The [datasheet](../reference/datasheet.md#measured-sets) has the sources.
+rough. Their focal lengths are stated: `auto`, by termsel-photos, and `opencv` read them, and no
+other method can.
+The [datasheet](../reference/datasheet.md#measured-sets) has the sources.
 """
 
 

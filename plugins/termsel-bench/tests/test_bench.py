@@ -174,9 +174,10 @@ def test_a_faulty_package_has_no_result(package: str, function: str, why: str) -
 @pytest.mark.slow_cases("pymoo-script", "scikit-learn")
 @pytest.mark.parametrize("peer", [*PEERS])
 def test_peers_do_what_they_say(peer: str) -> None:
-    name = "vendor-rpc-4" if peer == "orthority" else "steady-4"
+    sets = {"orthority": "vendor-rpc-4", "opencv": "measured-photo-037"}
+    name = sets.get(peer, "steady-4")
     modules = {"gdal-polynomial": "rasterio", "gdal-tps": "rasterio", "ransac": "sklearn",
-                   "scikit-learn": "sklearn", "orthority": "orthority"}
+               "scikit-learn": "sklearn", "orthority": "orthority", "opencv": "cv2"}
     pytest.importorskip(modules.get(peer, "numpy"))
     found = score(Work(Method("peer", peer), name))
     assert not found.why

@@ -80,9 +80,25 @@ def test_a_score_is_the_median_distance_of_all_hidden_points() -> None:
 
 
 def test_a_method_that_fails_in_a_fold_has_no_result() -> None:
-    found = score(Work(Method("peer", "deap-script"), "measured-photo-001"))
+    found = score(Work(Method("peer", "ransac"), "measured-photo-002"))
     assert found.rmse == float("inf")
     assert "requires more than" in found.why
+
+
+def test_a_search_of_terms_makes_check_points_where_there_are_no_roles() -> None:
+    assert score(Work(Method("peer", "deap-script"), "measured-map-017")).rmse < 1000
+    of_photo = score(Work(Method("peer", "deap-script"), "measured-photo-002"))
+    assert "fewer terms than its 3 control points" in of_photo.why
+
+
+def test_a_method_is_told_the_focal_length_of_a_photo() -> None:
+    photo = measured("measured-photo-001")
+    seen, _hidden = photo.trial(0)
+    assert set(seen.points.attributes[suite.FOCAL]) == {"3131.847740584272"}
+    assert photo.features.image_size == (1407, 1500)
+    with pytest.raises(TermselError, match="the set states none"):
+        Method("peer", "opencv").positions(measured("measured-map-001").features,
+                                           seen.points, 1)
 
 
 def test_the_suite_is_run_and_its_results_are_repeated(tmp_path: Path) -> None:

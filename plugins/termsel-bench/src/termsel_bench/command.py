@@ -62,8 +62,8 @@ def bench(method_names: tuple[str, ...], solvers: tuple[str, ...], problem: str 
 
     A method sees control and check points, lines and the RPC of a set. 1,000 independent points
     judge a simulated set; of a measured one each point is hidden once, and the median of the
-    distances judges it. Without --alone, auto, GDAL, Orthority, RANSAC, scikit-learn and scripts
-    with DEAP and pymoo run next to your methods.
+    distances judges it. Without --alone, auto, GDAL, Orthority, OpenCV, RANSAC, scikit-learn and
+    scripts with DEAP and pymoo run next to your methods.
 
     \b
     Examples:

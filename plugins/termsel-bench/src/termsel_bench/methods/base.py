@@ -24,8 +24,9 @@ FUNCTION = "georeference"
 
 PEERS: Mapping[str, Callable[[FeatureSet, int], Projection]] = {
     "gdal-polynomial": peers.gdal_polynomial, "gdal-tps": peers.gdal_spline,
-    "orthority": peers.orthority, "ransac": peers.ransac, "scikit-learn": peers.ridge,
-    "deap-script": scripts.by_deap, "pymoo-script": scripts.by_pymoo}
+    "orthority": peers.orthority, "opencv": peers.opencv, "ransac": peers.ransac,
+    "scikit-learn": peers.ridge, "deap-script": scripts.by_deap,
+    "pymoo-script": scripts.by_pymoo}
 """Methods that termsel is compared with."""
 
 

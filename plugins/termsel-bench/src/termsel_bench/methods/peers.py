@@ -1,6 +1,7 @@
 """Other packages on the sets, as their documentation has them used, where they are installed.
 
-All take points alone, control and check points alike; Orthority needs the RPC, too.
+All take points alone, control and check points alike; Orthority needs the RPC, too, and OpenCV the
+focal length.
 """
 
 from __future__ import annotations
@@ -82,6 +83,37 @@ def orthority(features: FeatureSet, seed: int) -> Projection:  # noqa: ARG001
     size = features.image_size or (1, 1)
     camera = RpcCamera((size[1], size[0]), refined)
     return lambda ground: np.asarray(camera.world_to_pixel(ground.T))[::-1].T
+
+
+def opencv(features: FeatureSet, seed: int) -> Projection:  # noqa: ARG001
+    """Return OpenCV's pose of a camera of the stated focal length: SQPNP, then least squares."""
+    stated = features.points.attributes.get("camera_focal")
+    if stated is None or features.image_size is None:
+        raise TermselError("OpenCV's pose requires a focal length, and the set states none")
+    with requires("the peer requires", "opencv-python-headless", "cv2"):
+        import cv2
+    with requires("the peer requires", "pyproj", "pyproj"):
+        from pyproj import Transformer
+    if len(features.points) < 4:
+        raise TermselError("OpenCV's pose requires 4 points")
+    geocentric = Transformer.from_crs(features.crs, "EPSG:4978", always_xy=True)
+    origin = np.column_stack(geocentric.transform(*features.points.ground.T)).mean(axis=0)
+
+    def places(ground: FloatArray) -> FloatArray:
+        return np.column_stack(geocentric.transform(*ground.T)) - origin
+
+    lines, samples = features.image_size
+    focal = float(stated[0])
+    camera = np.array([[focal, 0, (samples - 1) / 2], [0, focal, (lines - 1) / 2], [0, 0, 1]])
+    control = places(features.points.ground)
+    image = np.ascontiguousarray(features.points.image[:, ::-1])
+    try:
+        _, turn, shift = cv2.solvePnP(control, image, camera, None, flags=cv2.SOLVEPNP_SQPNP)
+        turn, shift = cv2.solvePnPRefineLM(control, image, camera, None, turn, shift)
+    except cv2.error as error:
+        raise TermselError(f"OpenCV fits nothing: {error}") from error
+    return lambda ground: np.asarray(cv2.projectPoints(
+        places(ground), turn, shift, camera, None)[0][:, 0, ::-1])
 
 
 def ransac(features: FeatureSet, seed: int) -> Projection:

@@ -2,7 +2,8 @@
 
 Each selects terms of a cubic polynomial, of the plane where there are no heights, for line and
 sample: least squares at the control points, RMSE of the check points as fitness. It is the method
-of the papers (Valadan Zoej et al. 2002) in some lines.
+of the papers (Valadan Zoej et al. 2002) in some lines. Where points have no roles, every third one
+is a check point.
 """
 
 from __future__ import annotations
@@ -18,6 +19,9 @@ from termsel import FeatureSet, TermselError
 from termsel.toolkit import BoolArray, FloatArray, requires
 
 POPULATION, GENERATIONS = 60, 40
+
+UNDETERMINED = 1e6
+"""Fitness where there are as many terms as control points."""
 
 Projection = Callable[[FloatArray], FloatArray]
 
@@ -36,7 +40,8 @@ class Cubic:
         # All monomials to degree 3.
         self.powers = np.array([powers for powers in product(range(4), repeat=self.width)
                                 if sum(powers) <= 3])
-        control = np.array(points.roles) == "control"
+        control = np.array(points.roles) == "control" if any(points.roles) \
+            else np.arange(len(points)) % 3 != 2
         self.control, self.check = (self.columns(points.ground[mask])
                                     for mask in (control, ~control))
         self.image = points.image[control]
@@ -66,12 +71,15 @@ class Cubic:
         """Return the check RMSE [px]; many where there are more terms than control points."""
         # A fit with as many terms as points is exact, and its fitness means nothing.
         if (genes.reshape(2, -1).sum(axis=1) >= len(self.image)).any():
-            return 1e6
+            return UNDETERMINED
         errors = self.check @ self.solved(genes) - self.check_image
         return float(np.sqrt((errors**2).sum(axis=1).mean()))
 
     def projection(self, genes: BoolArray) -> Projection:
-        """Return what the terms that are on project."""
+        """Return what the terms that are on project; refuse more terms than control points."""
+        if self.fitness(genes) == UNDETERMINED:
+            raise TermselError(f"the search found no selection of fewer terms than its "
+                               f"{len(self.image)} control points")
         coefficients = self.solved(genes)
         return lambda ground: self.columns(ground) @ coefficients
 

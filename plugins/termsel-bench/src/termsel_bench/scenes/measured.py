@@ -15,7 +15,7 @@ import csv
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.resources import files
 from io import StringIO
@@ -31,6 +31,9 @@ FOLDS = "folds.json"
 
 MEASURED = "measured-"
 """How the names of measured sets begin."""
+
+FOCAL = "camera_focal"
+"""Column of the points with the stated focal length [px], which termsel-photos reads."""
 
 _SEED = 2026
 
@@ -139,8 +142,14 @@ def measured(name: str) -> MeasuredSet:
         raise TermselError(f"the SHA-256 of {file} is {checksum}, not that of the published file",
                            hint="Install termsel-bench again.")
     folds = np.array(json.loads(_text("", FOLDS))[name], dtype=np.intp)
-    size = _sizes().get(file.removesuffix(".csv")) if source.folder == "smapshot_nadir" else None
-    features = FeatureSet(_points(content), crs=source.crs, image_size=size)
+    points = _points(content)
+    size = None
+    if source.folder == "smapshot_nadir":
+        photo = _photos()[file.removesuffix(".csv")]
+        size = (int(photo["height"]), int(photo["width"]))
+        points = replace(points, attributes={FOCAL: np.array([photo["focal_px"]] * len(points),
+                                                             dtype=object)})
+    features = FeatureSet(points, crs=source.crs, image_size=size)
     return MeasuredSet(name, source.kind, features, folds, source.sees_one, meta["licence"],
                        f"https://{meta['source']} {meta['commit']}", checksum)
 
@@ -210,10 +219,10 @@ def _matches(rows: Sequence[Sequence[float]]) -> Points:
 
 
 @lru_cache(maxsize=1)
-def _sizes() -> dict[str, tuple[int, int]]:
-    """Return lines and samples of each photo."""
+def _photos() -> dict[str, dict[str, str]]:
+    """Return what is stated of each photo: its size and its camera."""
     rows = csv.DictReader(StringIO(_text("smapshot_nadir", "photos.csv")))
-    return {row["photo"]: (int(row["height"]), int(row["width"])) for row in rows}
+    return {row["photo"]: row for row in rows}
 
 
 def drawn_folds() -> dict[str, list[int]]:
