@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel import FeatureSet
+from termsel import FeatureSet, Points
 from termsel.auto.auto import Auto
 from termsel.auto.blunders import agreement, find_blunders
-from termsel.auto.majority import _closest_half, majority
+from termsel.auto.majority import _closest_halves, majority
 from termsel.data.features import no_lines
 from termsel.data.fit_data import FitData
 from termsel.data.roles import by_roles
@@ -25,8 +25,8 @@ def scene(n: int, seed: int = 1) -> FeatureSet:
                           lines=no_lines())
 
 
-def spoilt(features: FeatureSet, share: float, *, alike: bool = False) -> tuple[FeatureSet,
-                                                                               set[int]]:
+def spoilt(features: FeatureSet, share: float, *, alike: bool = False,
+           times: float = 1.0) -> tuple[FeatureSet, set[int]]:
     """Return points of which a share is 20 to 60 px off, in any direction or all in one."""
     n = len(features.points)
     rng = np.random.default_rng(n)
@@ -34,7 +34,7 @@ def spoilt(features: FeatureSet, share: float, *, alike: bool = False) -> tuple[
     angle = rng.uniform(0, 2 * np.pi, len(wrong))
     shift = np.column_stack([np.sin(angle), np.cos(angle)]) * rng.uniform(20, 60, (len(wrong), 1))
     image = features.points.image.copy()
-    image[wrong] += shift[:1] if alike else shift
+    image[wrong] += times * (shift[:1] if alike else shift)
     return features.with_(points=replace(features.points, image=image)), set(wrong.tolist())
 
 
@@ -70,6 +70,43 @@ def test_sound_points_have_no_minority() -> None:
         assert agreement(data) is None
 
 
+def panoramic(n: int, seed: int) -> FeatureSet:
+    """Return points of a camera that turns, which no quadratic polynomial follows."""
+    x, y = np.random.default_rng(seed).uniform(-1, 1, (n, 2)).T
+    ground = np.column_stack([5e5 + 1e4 * x, 5e6 + 1e4 * y, 100 * np.sin(3 * x) * np.cos(2 * y)])
+    image = np.column_stack([4000 * np.arctan(0.4 * y) + 300 * x * y, 3000 * x + 90 * x * y**2])
+    image += np.random.default_rng(seed + 1).normal(0, 0.5, (n, 2))
+    points = Points(tuple(f"P{i:02d}" for i in range(n)), image, ground, roles=("control",) * n)
+    return FeatureSet(points, no_lines(), "EPSG:32639")
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_majority_decides_where_no_quadratic_polynomial_fits(seed: int) -> None:
+    sound = panoramic(40, seed)
+    assert majority(FitData.of(sound, True)) is None
+    features, wrong = spoilt(sound, 0.45, times=4.0)
+    suspects = find_blunders(FitData.of(features, True))
+    assert suspects is not None
+    assert set(np.flatnonzero(suspects.blunders)) == wrong
+
+
+def test_a_cluster_of_blunders_is_no_bend() -> None:
+    sound = panoramic(60, 4)
+    ground = sound.points.ground
+    # A third of the points and more, all in one part, with errors in all directions.
+    wrong = np.argsort(ground[:, 0])[:24]
+    image = sound.points.image.copy()
+    image[wrong] += np.random.default_rng(1).uniform(-200, 200, (24, 2))
+    agreeing = majority(FitData.of(sound.with_(points=replace(sound.points, image=image)), True))
+    assert agreeing is not None
+    # A polynomial leaves places beyond the agreeing points so free that a few fit by chance.
+    assert agreeing[wrong].sum() <= 3
+    # A part that is bent has errors that are alike, and stays.
+    bent = sound.points.image + np.maximum(5.001e5 - ground[:, :1], 0) * [0.02, 0.03]
+    assert majority(FitData.of(sound.with_(points=replace(sound.points, image=bent)),
+                               True)) is None
+
+
 def test_few_points_are_said_to_contradict_one_another() -> None:
     features, wrong = spoilt(scene(30), 0.4)
     verdict = judge_features(by_roles(features), Auto())
@@ -94,7 +131,8 @@ def test_the_closest_half_is_about_the_best_of_all_halves() -> None:
             coefficients = np.linalg.lstsq(design[of_half], image[of_half])[0]
             return float(((image[of_half] - design[of_half] @ coefficients) ** 2).sum())
 
-        found = _closest_half(design, image, np.ones(2, dtype=bool), np.random.default_rng(0))
+        [found] = _closest_halves([design], image, np.ones(2, dtype=bool),
+                                  np.random.default_rng(0))
         least = min(map(squares, combinations(range(12), 6)))
         assert not found[:5].any()
         # Concentration ends where no refit helps, next to the least of all halves.

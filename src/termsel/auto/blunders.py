@@ -153,9 +153,11 @@ def _by_majority(control: FitData) -> tuple[BoolArray, Test] | None:
         used = ~far
     if test is None:
         return None
-    used, test = _judged_by_field(control, used, test, MAX_MINORITY)
-    blunder_share = (~used).mean()
-    return (used, test) if MIN_MINORITY < blunder_share <= MAX_MINORITY else None
+    # A field that few points leave free may follow blunders: then the polynomial has decided.
+    for judged, its_test in (_judged_by_field(control, used, test, MAX_MINORITY), (used, test)):
+        if MIN_MINORITY < (~judged).mean() <= MAX_MINORITY:
+            return judged, its_test
+    return None
 
 
 def agreement(control: FitData) -> BoolArray | None:

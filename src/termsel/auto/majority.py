@@ -4,19 +4,25 @@ Setting aside a third of all points fails where more than a third are wrong: wha
 holds blunders, which spoil the noise that the others are judged by. Least trimmed squares stand up
 to blunders among half of all points (Rousseeuw 1984): the polynomial whose closest half has the
 smallest squares. It is sought from random samples and improved by concentration, each time refitted
-to its closest half (Rousseeuw and Van Driessen 2006, FAST-LTS). Its noise tells which points
-disagree; those that agree are the majority.
+to its closest half (Rousseeuw and Van Driessen 2006, FAST-LTS). A sample of as many points as a
+cubic polynomial has terms always holds blunders; but the halves of quadratic ones hold few, so that
+concentration goes on from them with the cubic terms of the plane, which cameras that turn and
+aircraft need. Their noise tells which points disagree; those that agree are the majority.
 
 A bend of the image that a polynomial does not follow makes points disagree as well. So a majority
-is one only if the others are gross, and lie among it: not where a part of the image is bent.
+is one only if the others are gross, and lie among it, or disagree with each other: the errors of
+neighbours in a part that is bent are alike.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+from scipy.special import ndtr, stdtrit
 
 from termsel.auto.contradictions import polynomial_of
-from termsel.data.features import BoolArray, FloatArray, IntArray
+from termsel.data.features import BoolArray, FloatArray, IntArray, Points
 from termsel.data.fit_data import FitData
 from termsel.data.monomials import monomials
 
@@ -35,6 +41,9 @@ SAMPLES = 2000
 POINTS_BY_TERM = 3
 """Points for each term of a quadratic polynomial, below which an affine one is taken."""
 
+MIN_CUBIC_POINTS = 40
+"""Points from which on the cubic terms of the plane are added: their half outnumbers the terms."""
+
 CONCENTRATED = 20
 """Samples that are improved."""
 
@@ -44,8 +53,18 @@ STEPS = 30
 MAX_SAMPLED_POINTS = 300
 """Points that samples are judged by, where there are more."""
 
+ADDED_PART = 40
+"""One of so many points is added at a time to those that agree."""
+
+NOISE_JUMP = 2.0
+"""Noise by that of the half, beyond which no further point agrees."""
+
 AGREEING_STRAIN = 4.0
 """Standard deviations within which a point agrees with the majority."""
+
+UNLIKE = 0.5
+"""Squared difference of the errors of neighbours, by that of independent errors, from which on they
+are no bend."""
 
 GROSS_STRAIN = 6.0
 """Standard deviations that the others disagree by, in the median."""
@@ -66,39 +85,70 @@ def majority(control: FitData) -> BoolArray | None:
     if n < POINTS_BY_TERM * len(exponents):
         design = design[:, is_affine]
         is_affine = is_affine[is_affine]
+    designs = [design]
+    if n >= MIN_CUBIC_POINTS:
+        designs.append(np.hstack([design, monomials(scaled.ground,
+                                                    _cubic_of_plane(control.heights))]))
     rng = np.random.default_rng(0)  # the same points have the same blunders
     sampled = rng.permutation(n)[:MAX_SAMPLED_POINTS]
-    half = np.zeros(n, dtype=bool)
-    half[sampled] = _closest_half(design[sampled], scaled.image[sampled], is_affine, rng)
-    agreeing, noise = _agreeing(design, scaled.image, half)
+    halves = _closest_halves([columns[sampled] for columns in designs], scaled.image[sampled],
+                             is_affine, rng)
+    # The fewer terms, the clearer is who disagrees.
+    for columns, closest in zip(designs, halves, strict=True):
+        half = np.zeros(n, dtype=bool)
+        half[sampled] = closest
+        agreeing = _outvoting(columns, scaled, half, sampled)
+        if agreeing is not None:
+            return agreeing
+    return None
+
+
+def _outvoting(design: FloatArray, scaled: Points, half: BoolArray,
+               sampled: IntArray) -> BoolArray | None:
+    """Return which points (n,) agree with a half, if more than a third are gross blunders."""
+    n = len(half)
+    agreeing, strains = _agreeing(design, scaled.image, half)
     minority = ~agreeing
-    if minority.mean() <= MAX_BLUNDER_SHARE or agreeing.sum() < n // 2:
+    if minority.mean() <= MAX_BLUNDER_SHARE or agreeing.sum() < n // 2 - 1:
         return None
-    strains = _errors(design, scaled.image, agreeing)[minority] / noise
-    if np.median(strains) < GROSS_STRAIN or not _interleaved(scaled.ground[sampled],
-                                                             agreeing[sampled]):
+    if np.median(strains[minority]) < GROSS_STRAIN / AGREEING_STRAIN:
         return None
-    return agreeing
+    errors = _residuals(design, scaled.image, agreeing)[minority]
+    if _interleaved(scaled.ground[sampled], agreeing[sampled]) or _unlike_neighbours(
+            scaled.ground[minority], errors):
+        return agreeing
+    return None
 
 
-def _closest_half(design: FloatArray, image: FloatArray, is_affine: BoolArray,
-                  rng: np.random.Generator) -> BoolArray:
-    """Return the half of the points (n,) with the least trimmed squares that is found."""
-    n = len(design)
-    least = np.inf
-    best = np.ones(n, dtype=bool)
+def _cubic_of_plane(heights: bool) -> tuple[tuple[int, ...], ...]:
+    """Return the exponents of the cubic terms without height."""
+    return tuple((3 - j, j, 0) if heights else (3 - j, j) for j in range(4))
+
+
+def _closest_halves(designs: Sequence[FloatArray], image: FloatArray, is_affine: BoolArray,
+                    rng: np.random.Generator) -> list[BoolArray]:
+    """Return for each design the half (n,) with the least trimmed squares that is found.
+
+    Samples are of the first design (n, k). Halves of each design go on from those of the one
+    before it.
+    """
+    n = len(image)
+    first = designs[0]
+    least = [np.inf] * len(designs)
+    best = [np.ones(n, dtype=bool)] * len(designs)
     # Affine samples need few points, so that more of them have no blunder; others bend as well.
-    samples_of = [design[:, is_affine]]
+    samples_of = [first[:, is_affine]]
     if not is_affine.all():
-        samples_of.append(design)
+        samples_of.append(first)
     for columns in samples_of:
         for closest in _starts(columns, image, rng):
             half = np.zeros(n, dtype=bool)
             half[closest] = True
-            squares, half = _concentrated(design, image, half)
-            if squares < least:
-                least = squares
-                best = half
+            for number, design in enumerate(designs):
+                squares, half = _concentrated(design, image, half)
+                if squares < least[number]:
+                    least[number] = squares
+                    best[number] = half
     return best
 
 
@@ -135,27 +185,63 @@ def _concentrated(design: FloatArray, image: FloatArray,
     return least, half
 
 
-def _agreeing(design: FloatArray, image: FloatArray, half: BoolArray) -> tuple[BoolArray, float]:
-    """Return which points agree with a half, and the noise of one coordinate."""
+def _agreeing(design: FloatArray, image: FloatArray,
+              half: BoolArray) -> tuple[BoolArray, FloatArray]:
+    """Return which points agree with a half, and the strain of each (n,) against these.
+
+    The closest of the others are added bit by bit, as a blunder among many new ones would bend the
+    fit towards further ones (forward search, Atkinson and Riani 2000). It ends before the noise
+    jumps: few points allow the next one so much that a blunder may be among what they allow.
+    """
+    n = len(half)
     agreeing = half
-    for _ in range(STEPS):
-        errors = _errors(design, image, agreeing)
-        freedom = 2 * (int(agreeing.sum()) - design.shape[1])
-        if freedom <= 0:
+    at_once = max(1, n // ADDED_PART)
+    first_noise, strains = _strains(design, image, half)
+    while not agreeing.all():
+        order = np.argsort(np.where(agreeing, np.inf, strains), kind="stable")[:at_once]
+        closest = order[(strains[order] <= 1.0) & ~agreeing[order]]
+        if not len(closest):
             break
-        noise = float(np.sqrt((errors[agreeing] ** 2).sum() / freedom))
-        further = errors <= AGREEING_STRAIN * noise
-        further |= half
-        if (further == agreeing).all():
+        extended = agreeing.copy()
+        extended[closest] = True
+        noise, new_strains = _strains(design, image, extended)
+        if noise > NOISE_JUMP * first_noise:
             break
-        agreeing = further
-    return agreeing, noise
+        agreeing = extended
+        strains = new_strains
+    # A blunder that got into the half is one of those that disagree, too.
+    return agreeing & (strains <= 1.0), strains
+
+
+def _strains(design: FloatArray, image: FloatArray, used: BoolArray) -> tuple[float, FloatArray]:
+    """Return the noise of the closest points, and errors (n,) by what agreeing points have.
+
+    Of normal vectors of the plane, the part g that is shortest has 1 + (1 - g) ln(1 - g) / g of the
+    mean square. A point that is not used has the variance of its prediction, too, and few points
+    have a noise that is uncertain: the limit is Student's, as improbable as AGREEING_STRAIN of
+    normal errors.
+    """
+    errors = _errors(design, image, used)
+    freedom = 2 * max(int(used.sum()) - design.shape[1], 1)
+    part = float(used.mean())
+    share = 1.0 if part == 1.0 else 1.0 + (1.0 - part) * np.log(1.0 - part) / part
+    noise = float(np.sqrt((errors[used] ** 2).sum() / freedom / share))
+    triangle = np.linalg.qr(design[used])[1]
+    leverage = (np.linalg.solve(triangle.T, design.T) ** 2).sum(axis=0)
+    variance = np.where(used, 1.0 - leverage, 1.0 + leverage).clip(1e-6)
+    limit = -float(stdtrit(freedom, ndtr(-AGREEING_STRAIN)))
+    return noise, errors / (limit * np.maximum(noise, 1e-12) * np.sqrt(variance))
 
 
 def _errors(design: FloatArray, image: FloatArray, used: BoolArray) -> FloatArray:
     """Return the distance of each point (n,) from the polynomial of some."""
+    return np.asarray(np.linalg.norm(_residuals(design, image, used), axis=1))
+
+
+def _residuals(design: FloatArray, image: FloatArray, used: BoolArray) -> FloatArray:
+    """Return the vector of each point (n, 2) from the polynomial of some."""
     coefficients = np.linalg.lstsq(design[used], image[used])[0]
-    return np.asarray(np.linalg.norm(image - design @ coefficients, axis=1))
+    return np.asarray(image - design @ coefficients)
 
 
 def _interleaved(ground: FloatArray, agreeing: BoolArray) -> bool:
@@ -165,3 +251,18 @@ def _interleaved(ground: FloatArray, agreeing: BoolArray) -> bool:
     quadrants = np.stack([(is_right == right) & (is_above == above)
                           for right in (False, True) for above in (False, True)])
     return bool((quadrants.any(axis=2).sum(axis=0) >= 3).mean() > 0.5) if len(others) else False
+
+
+def _unlike_neighbours(ground: FloatArray, errors: FloatArray) -> bool:
+    """Return whether errors (n, 2) of points differ from those of their nearest neighbours.
+
+    Of independent errors the squared difference is twice the square in the mean; gross ones must
+    not decide alone, so that each error counts by its direction and the root of its size.
+    """
+    ground = ground[:MAX_SAMPLED_POINTS, :2]
+    errors = errors[:MAX_SAMPLED_POINTS]
+    tempered = errors / np.sqrt(np.maximum(np.linalg.norm(errors, axis=1), 1e-12))[:, None]
+    distances = np.linalg.norm(ground[:, None] - ground, axis=2)
+    np.fill_diagonal(distances, np.inf)
+    differences = tempered - tempered[distances.argmin(axis=1)]
+    return bool((differences ** 2).sum() > UNLIKE * 2 * (tempered ** 2).sum())
