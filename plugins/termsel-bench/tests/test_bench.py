@@ -275,7 +275,8 @@ def test_what_is_not_installed_is_not_refuted(
 
 def test_published_results_are_of_these_sets() -> None:
     found = read_submitted(Path(__file__).parents[1] / "results")
-    assert {one.method.title for one in found} >= {"auto", *PEERS}
+    # OpenCV needs a focal length, which no simulated set states.
+    assert {one.method.title for one in found} >= {"auto", *PEERS} - {"opencv"}
     assert all(set(one.rmse) == set(SETS) for one in found)
 
 

@@ -44,6 +44,9 @@ POINTS_BY_TERM = 3
 MIN_CUBIC_POINTS = 40
 """Points from which on the cubic terms of the plane are added: their half outnumbers the terms."""
 
+CUBIC_OF_PLANE = ((3, 0, 0), (2, 1, 0), (1, 2, 0), (0, 3, 0))
+"""Exponents of the cubic terms without heights."""
+
 CONCENTRATED = 20
 """Samples that are improved."""
 
@@ -87,8 +90,7 @@ def majority(control: FitData) -> BoolArray | None:
         is_affine = is_affine[is_affine]
     designs = [design]
     if n >= MIN_CUBIC_POINTS:
-        designs.append(np.hstack([design, monomials(scaled.ground,
-                                                    _cubic_of_plane(control.heights))]))
+        designs.append(np.hstack([design, monomials(scaled.ground, CUBIC_OF_PLANE)]))
     rng = np.random.default_rng(0)  # the same points have the same blunders
     sampled = rng.permutation(n)[:MAX_SAMPLED_POINTS]
     halves = _closest_halves([columns[sampled] for columns in designs], scaled.image[sampled],
@@ -118,11 +120,6 @@ def _outvoting(design: FloatArray, scaled: Points, half: BoolArray,
             scaled.ground[minority], errors):
         return agreeing
     return None
-
-
-def _cubic_of_plane(heights: bool) -> tuple[tuple[int, ...], ...]:
-    """Return the exponents of the cubic terms without height."""
-    return tuple((3 - j, j, 0) if heights else (3 - j, j) for j in range(4))
 
 
 def _closest_halves(designs: Sequence[FloatArray], image: FloatArray, is_affine: BoolArray,

@@ -14,8 +14,9 @@ import numpy as np
 from msgspec.structs import replace as changed
 
 from termsel.auto.auto import Auto
-from termsel.auto.blunders import MAX_BLUNDER_SHARE, agreement, find_blunders, judge_others
+from termsel.auto.blunders import agreement, find_blunders, judge_others
 from termsel.auto.contradictions import Division
+from termsel.auto.majority import MAX_BLUNDER_SHARE
 from termsel.auto.rule import Choice, method_of
 from termsel.data.exchanged import Exchange, errors_by_others, exchange_of
 from termsel.data.features import FeatureSet, Points, select

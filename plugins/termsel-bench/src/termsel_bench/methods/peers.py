@@ -100,7 +100,7 @@ def opencv(features: FeatureSet, seed: int) -> Projection:  # noqa: ARG001
     origin = np.column_stack(geocentric.transform(*features.points.ground.T)).mean(axis=0)
 
     def places(ground: FloatArray) -> FloatArray:
-        return np.column_stack(geocentric.transform(*ground.T)) - origin
+        return np.asarray(np.column_stack(geocentric.transform(*ground.T)) - origin)
 
     lines, samples = features.image_size
     focal = float(stated[0])
