@@ -25,7 +25,7 @@ from termsel.adjustment.bayesian.posterior import Posterior, normalized, polynom
 from termsel.adjustment.bayesian.predicted_positions import predict_positions
 from termsel.adjustment.equations import weights_of
 from termsel.auto.local import FIELD_CALLED_FOR, points_alone, required_probability
-from termsel.auto.shrunken import Average, average, fit_of
+from termsel.auto.shrunken import Average, average, fit_of, mean_coefficients
 from termsel.auto.validated import gain_of
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points
 from termsel.data.measurements import Measurements
@@ -99,31 +99,61 @@ class CameraAverage(Average):
         more: where it is hardly likelier than what stands without it, that is as good, and has no
         prior that may be wrong.
         """
-        # A field takes its share first; prior and polynomials divide the rest.
-        field_probability = local.probability if local and local.probability > required_probability(
-            local) else 0.0
-        physical = self.probability * (1.0 - field_probability)
-        shrunken = 1.0 - self.probability
-        required = FIELD_CALLED_FOR if len(
-            self.errors) <= PHYSICAL_MIN_POINTS else STRONG_PROBABILITY
         # Few points cannot show that the prior is worse; more must show that it is not.
         limit = MIN_ADVANTAGE if len(self.errors) <= PHYSICAL_FEW_POINTS else -MIN_ADVANTAGE
-        return physical <= required * (physical + shrunken) or self.worse > limit
+        return is_unlikely(self.probability, len(self.errors), local) or self.worse > limit
+
+
+@dataclass(frozen=True, eq=False)
+class PriorEvidence:
+    """How likely both kinds of priors are, before anything is averaged or held out."""
+
+    physical: CameraSolutions
+    shrunken: tuple[tuple[Posterior, Exponents], ...]
+    logs: FloatArray  # logarithms of the evidence of the regularised ones
+
+    @property
+    def shares(self) -> FloatArray:
+        """Probability of the physical priors, then of the others, (p,)."""
+        # Bayes' rule: shares in proportion to the marginal likelihoods.
+        return normalized(np.concatenate([self.physical.log_evidence, self.logs]))[0]
+
+    @property
+    def probability(self) -> float:
+        """Probability of the physical prior."""
+        return float(self.shares[:len(self.physical)].sum())
+
+
+def is_unlikely(probability: float, points: int, local: GaussianProcess | None) -> bool:
+    """Return whether a physical prior of some probability has too little evidence by the points."""
+    # A field takes its share first; prior and polynomials divide the rest.
+    field_probability = local.probability if local and local.probability > required_probability(
+        local) else 0.0
+    physical = probability * (1.0 - field_probability)
+    required = FIELD_CALLED_FOR if points <= PHYSICAL_MIN_POINTS else STRONG_PROBABILITY
+    return physical <= required * (physical + 1.0 - probability)
+
+
+def prior_evidence(points: Points, scaling: Scaling, crs: str,
+                   exponents: Exponents) -> PriorEvidence | None:
+    """Return how likely the priors are for scaled control points.
+
+    None where none of the kinds can be meant. The exponents are those of a cubic polynomial of X
+    and Y, or of X, Y and Z.
+    """
+    return _cached_evidence(Measurements.of(points), scaling, crs, exponents)
 
 
 def camera_average(points: Points, scaling: Scaling, crs: str,
                    exponents: Exponents) -> CameraAverage | None:
-    """Return the average for scaled control points; None where none of the kinds can be meant.
-
-    The exponents are those of a cubic polynomial of X and Y, or of X, Y and Z.
-    """
+    """Return the average for scaled control points, as `prior_evidence` does the evidence."""
     return _averaged(Measurements.of(points), scaling, crs, exponents)
 
 
 @lru_cache(maxsize=2)
-def _averaged(measurements: Measurements, scaling: Scaling, crs: str,
-              exponents: Exponents) -> CameraAverage | None:
-    """Return the same; a fit, what describes it and its spread ask for one."""
+def _cached_evidence(measurements: Measurements, scaling: Scaling, crs: str,
+                     exponents: Exponents) -> PriorEvidence | None:
+    """Return the same; the average asks for it again."""
     # Each of these steps needs the one before; any of them may say that there is no prior.
     points = measurements.points
     variables = 3 if any(power[2] for power in exponents) else 2
@@ -134,25 +164,42 @@ def _averaged(measurements: Measurements, scaling: Scaling, crs: str,
     weights = None if points.sigma is None else weights_of(points)
     # Scaled heights in px: how far relief moves a point, by the slope of the image.
     height = scaling.ground_scale[2] * float(np.linalg.norm(slopes, axis=1).mean())
-    averages = []
     shrunken = []
     logs = []
-    logs_without = []
     for degree in (2, 3):
         powers = graded_exponents(degree, variables)
-        average_of_degree = average(points.ground, points.image, powers, weights)
         posterior = polynomial_posterior(points.ground, points.image, powers, weights)
-        if average_of_degree is None or posterior is None:
+        if posterior is None:
             return None
+        # Without heights no coefficient has a part in the evidence.
+        of_heights = None if variables == 2 else mean_coefficients(
+            posterior, points.ground, points.image, powers, weights)[0][3]
         # Log of one half: the degrees 2 and 3 share the probability of polynomials.
-        log = log_marginal_likelihood(posterior, average_of_degree.coefficients, variables, height,
-                                      1.0 / scaling.image_scale) - np.log(2.0)
-        averages.append(average_of_degree)
+        logs.append(log_marginal_likelihood(posterior, of_heights, height,
+                                            1.0 / scaling.image_scale) - np.log(2.0))
         shrunken.append((posterior, powers))
-        logs.append(log)
+    return PriorEvidence(physical, tuple(shrunken), np.array(logs))
+
+
+@lru_cache(maxsize=2)
+def _averaged(measurements: Measurements, scaling: Scaling, crs: str,
+              exponents: Exponents) -> CameraAverage | None:
+    """Return the same; a fit, what describes it and its spread ask for one."""
+    points = measurements.points
+    evidence = _cached_evidence(measurements, scaling, crs, exponents)
+    if evidence is None:
+        return None
+    weights = None if points.sigma is None else weights_of(points)
+    averages = []
+    logs_without = []
+    for log, (posterior, powers) in zip(evidence.logs, evidence.shrunken, strict=True):
+        average_of_degree = average(points.ground, points.image, powers, weights)
+        assert average_of_degree is not None
+        averages.append(average_of_degree)
         # The evidence of the others when one point is left out.
         logs_without.append(log + posterior.held_out.log_evidence - posterior.cells.log_evidence)
     # What cameras say comes first, then both polynomials.
+    physical = evidence.physical
     logs_of_cameras, errors_of_cameras = physical.left_out()
     errors = np.concatenate([errors_of_cameras, [each.errors for each in averages]])
     logs_without_each = np.concatenate([logs_of_cameras, logs_without])
@@ -160,13 +207,12 @@ def _averaged(measurements: Measurements, scaling: Scaling, crs: str,
         np.pad(each.coefficients, ((0, len(exponents) - len(each.coefficients)), (0, 0)))
         for each in averages]])
     effective = np.concatenate([physical.effective, [each.effective for each in averages]])
-    # Bayes' rule: shares in proportion to the marginal likelihoods.
-    shares = normalized(np.concatenate([physical.log_evidence, logs]))[0]
+    shares = evidence.shares
     # Shares of its own for each left-out point: its measurement must not weigh them.
     mean = _mean_without_each(logs_without_each, errors)
     others = _mean_without_each(logs_without_each[-len(averages):], errors[-len(averages):])
     return CameraAverage(np.einsum("p,pka->ka", shares, coefficients), mean,
-                         float(shares @ effective), physical, tuple(shrunken), shares,
+                         float(shares @ effective), physical, evidence.shrunken, shares,
                          gain_of((others ** 2).sum(axis=1), (mean ** 2).sum(axis=1)))
 
 
@@ -243,14 +289,18 @@ class Physical(Estimator):
             used: BoolArray) -> Fit:
         """Fit a cubic polynomial (see `Estimator.fit`) with all its terms."""
         assert isinstance(model, Polynomial)
-        points = points_alone(control, used, "a physical prior")
-        average = camera_average(scaling.points(points), scaling, control.crs, model.exponents)
-        local = fit_gaussian_process(scaling.points(points), model.variables)
+        points = scaling.points(points_alone(control, used, "a physical prior"))
+        evidence = prior_evidence(points, scaling, control.crs, model.exponents)
+        local = fit_gaussian_process(points, model.variables)
+        average = None
+        # What the evidence speaks against already is not averaged.
+        if evidence is not None and not is_unlikely(evidence.probability, len(points), local):
+            average = camera_average(points, scaling, control.crs, model.exponents)
         if average is None or average.is_uncalled_for(local):
             raise Undetermined(
                 "the points do not support the sensor-geometry prior of a scanner, a radar or a "
-                "frame camera" + (
-                    "" if average is None else f": its probability is {average.probability:.2g}"),
+                "frame camera" + ("" if evidence is None
+                                  else f": its probability is {evidence.probability:.2g}"),
                 hint="Choose a polynomial without it, such as shrunken-cubic.")
         return fit_of(self, model, control, scaling, used, average)
 

@@ -33,7 +33,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from termsel.adjustment.bayesian.line_posterior import mean_line_solution
-from termsel.adjustment.bayesian.posterior import polynomial_posterior
+from termsel.adjustment.bayesian.posterior import Posterior, polynomial_posterior
 from termsel.adjustment.equations import line_normals, weights_of
 from termsel.adjustment.lines import row_weights
 from termsel.adjustment.solve import Adjustment
@@ -110,11 +110,23 @@ def average(ground: FloatArray, image: FloatArray, exponents: Exponents,
     first. Equations are multiplied by weights (n, 2): reciprocals of standard deviations, up to a
     factor.
     """
-    order = np.array(exponents).sum(axis=1)
-    columns = monomials(ground, exponents)
     posterior = polynomial_posterior(ground, image, exponents, weights)
     if posterior is None:
         return None
+    coefficients, effective = mean_coefficients(posterior, ground, image, exponents, weights)
+    errors = posterior.held_out.errors
+    return Average(coefficients, errors if weights is None else errors / weights, effective)
+
+
+def mean_coefficients(posterior: Posterior, ground: FloatArray, image: FloatArray,
+                      exponents: Exponents,
+                      weights: FloatArray | None) -> tuple[FloatArray, float]:
+    """Return the averaged coefficients of a posterior, (k, 2), and its effective parameters.
+
+    The others are as for `average`.
+    """
+    order = np.array(exponents).sum(axis=1)
+    columns = monomials(ground, exponents)
     weights = np.ones_like(image) if weights is None else weights
     coefficients = np.empty((len(exponents), 2))
     effective = 0.0
@@ -125,7 +137,7 @@ def average(ground: FloatArray, image: FloatArray, exponents: Exponents,
         coefficients[order > 1, axis] = shrunk
         coefficients[order < 2, axis] = np.linalg.lstsq(affine, affine_targets)[0]
         effective += axis_effective
-    return Average(coefficients, posterior.held_out.errors / weights, effective)
+    return coefficients, effective
 
 
 def average_with_lines(features: FeatureSet, model: Polynomial) -> Average | None:

@@ -37,10 +37,8 @@ import numpy as np
 from termsel.adjustment.bayesian.blunder_odds import blunder_odds
 from termsel.adjustment.bayesian.held_out import HeldOutPredictions
 from termsel.adjustment.bayesian.kernels import (
-    affine_residuals,
     farthest_points,
-    kernel,
-    residual_variance,
+    spline_field,
     squared_distances,
 )
 from termsel.adjustment.bayesian.posterior import (
@@ -211,7 +209,7 @@ class GaussianProcess:
         for start in range(0, len(ground), GROUND_BATCH):
             batch = slice(start, start + GROUND_BATCH)
             for lengths, weights in fields:
-                image[batch] += _covariances(positions[batch], self.knots, lengths)[0] @ weights
+                image[batch] += _covariances(positions[batch], self.knots, lengths) @ weights
         return np.asarray(image)
 
     def spread(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -230,7 +228,7 @@ class GaussianProcess:
             if solution.lengths is not None:
                 # Away from the knots the field has a variance that their covariances do not span.
                 field = spanned[:, columns.shape[1]:]
-                prior = _covariances(positions, self.knots, solution.lengths)[1]
+                prior = _variances(positions, self.knots, solution.lengths)
                 unspanned = (np.square(solution.posterior.scales[:, -1:])
                              * np.maximum(prior - (field**2).sum(axis=1), 0.0))
             shares.append(share)
@@ -400,14 +398,14 @@ def _with_field(columns: FloatArray, positions: FloatArray, knots: FloatArray,
     if lengths is None:
         return columns
     return np.concatenate(
-        [columns, _covariances(positions, knots, lengths)[0] @ whitening.T], axis=1)
+        [columns, _covariances(positions, knots, lengths) @ whitening.T], axis=1)
 
 
 def _whitening(knots: FloatArray, lengths: tuple[float, float] | None) -> FloatArray:
     """Return what makes coefficients of a field uncorrelated, of one variance, shape (c, k)."""
     if lengths is None:
         return np.empty((0, 0))
-    covariances = _covariances(knots, knots, lengths)[0]
+    covariances = _covariances(knots, knots, lengths)
     if lengths != SPLINE_LENGTHS:
         # K = L L': coefficients by L^-1 are independent with variance one.
         return np.asarray(np.linalg.inv(np.linalg.cholesky(
@@ -418,19 +416,19 @@ def _whitening(knots: FloatArray, lengths: tuple[float, float] | None) -> FloatA
 
 
 def _covariances(positions: FloatArray, knots: FloatArray,
-                 lengths: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
-    """Return covariances of places with knots, shape (m, k), and variances of places, (m,).
-
-    Those of a spline are of what the affine function that fits the knots leaves; their mean is 1.
-    """
+                 lengths: tuple[float, float]) -> FloatArray:
+    """Return covariances of places with knots, shape (m, k)."""
     if lengths != SPLINE_LENGTHS:
-        return _matern(positions, knots, lengths), np.ones(len(positions))
-    affine = np.column_stack([np.ones(len(knots)), knots])
-    # A spline has no variance of affine functions: they are projected out of its kernel.
-    residual_maker = np.eye(len(knots)) - affine @ np.linalg.pinv(affine)
-    unit = np.trace(residual_maker @ kernel(knots, knots)) / len(knots)
-    return affine_residuals(positions, knots) @ residual_maker / unit, residual_variance(
-        positions, knots) / unit
+        return _matern(positions, knots, lengths)
+    return spline_field(knots).covariances(positions)
+
+
+def _variances(positions: FloatArray, knots: FloatArray,
+               lengths: tuple[float, float]) -> FloatArray:
+    """Return variances of places, (m,)."""
+    if lengths != SPLINE_LENGTHS:
+        return np.ones(len(positions))
+    return spline_field(knots).variances(positions)
 
 
 def _matern(a: FloatArray, b: FloatArray, lengths: tuple[float, float]) -> FloatArray:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import lru_cache
+
 import numpy as np
 
 from termsel.data.features import FloatArray
@@ -97,11 +100,45 @@ def squared_distances(a: FloatArray, b: FloatArray) -> FloatArray:
     return square
 
 
-def affine_residuals(positions: FloatArray, knots: FloatArray) -> FloatArray:
-    """Return the kernels around knots, less what an affine function fits at these, (m, k)."""
-    affine, knot_affine = (_affine_columns(one) for one in (positions, knots))
-    return np.asarray(
-        kernel(positions, knots) - affine @ (np.linalg.pinv(knot_affine) @ kernel(knots, knots)))
+@dataclass(frozen=True, eq=False)
+class SplineField:
+    """The random field whose best prediction a spline is, of mean variance 1 at the knots.
+
+    Without what the affine function through the knots has in common with it.
+    """
+
+    knots: FloatArray  # (k, 2)
+    to_affine: FloatArray  # (3, k): from values at the knots to the affine function that fits them
+    residual_maker: FloatArray  # (k, k): what that leaves of the values
+    kernels: FloatArray  # (k, k): between the knots
+    unit: float  # mean variance at the knots
+
+    def covariances(self, positions: FloatArray) -> FloatArray:
+        """Return covariances of places with the knots, shape (m, k)."""
+        affine = _affine_columns(positions)
+        residuals = kernel(positions, self.knots) - affine @ (self.to_affine @ self.kernels)
+        return np.asarray(residuals @ self.residual_maker / self.unit)
+
+    def variances(self, positions: FloatArray) -> FloatArray:
+        """Return variances of places, shape (m,)."""
+        return residual_variance(positions, self.knots) / self.unit
+
+
+def spline_field(knots: FloatArray) -> SplineField:
+    """Return the field around knots (k, 2)."""
+    return _cached_spline_field(knots.tobytes())
+
+
+@lru_cache(maxsize=2)  # a field is asked for its covariances several times
+def _cached_spline_field(coordinates: bytes) -> SplineField:
+    knots = np.frombuffer(coordinates).reshape(-1, 2)
+    affine = _affine_columns(knots)
+    to_affine = np.linalg.pinv(affine)
+    # A spline has no variance of affine functions: they are projected out of its kernel.
+    residual_maker = np.eye(len(knots)) - affine @ to_affine
+    kernels = kernel(knots, knots)
+    unit = float(np.trace(residual_maker @ kernels) / len(knots))
+    return SplineField(knots, to_affine, residual_maker, kernels, unit)
 
 
 def residual_variance(positions: FloatArray, knots: FloatArray) -> FloatArray:

@@ -342,12 +342,13 @@ class CameraSolutions:
         return variance, noise
 
 
-def log_marginal_likelihood(posterior: Posterior, coefficients: FloatArray, variables: int,
-                            height: float, pixel: float) -> float:
+def log_marginal_likelihood(posterior: Posterior, of_heights: FloatArray | None, height: float,
+                            pixel: float) -> float:
     """Return the logarithm of the marginal likelihood of regularised polynomials.
 
-    On the scale of `CameraSolutions.log_evidence`. The coefficients (k, 2) are their average;
-    `height` is what a scaled height of 1 moves on the ground, in scaled units of the image.
+    On the scale of `CameraSolutions.log_evidence`. Of Z, if heights are known, line and sample have
+    coefficients (2,); `height` is what a scaled height of 1 moves on the ground, in scaled units of
+    the image.
     """
     half = posterior.freedom / 2
     sizes = np.exp(log_prior_of_sizes())
@@ -361,9 +362,9 @@ def log_marginal_likelihood(posterior: Posterior, coefficients: FloatArray, vari
     mean_square = float(posterior.cells.share @ (posterior.square / posterior.freedom))
     log_noise = 0.5 * np.log(mean_square) - np.log(pixel)
     log += _density(log_noise - np.log(NOISE_MEDIAN), NOISE_LOG_DEVIATION)
-    if variables == 3:
+    if of_heights is not None:
         # A height has the effect of views from the air or space: PARALLAX of it, at most.
-        log += sum(_density(coefficient, PARALLAX * height) for coefficient in coefficients[3])
+        log += sum(_density(coefficient, PARALLAX * height) for coefficient in of_heights)
     return float(log)
 
 
