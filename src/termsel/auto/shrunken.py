@@ -127,16 +127,21 @@ def mean_coefficients(posterior: Posterior, ground: FloatArray, image: FloatArra
     """
     order = np.array(exponents).sum(axis=1)
     columns = monomials(ground, exponents)
-    weights = np.ones_like(image) if weights is None else weights
+    affine = columns[:, order < 2]
+    line, line_effective = posterior.mean(0)
+    sample, sample_effective = posterior.mean(1)
+    shrunk = np.stack([line, sample], axis=1)
     coefficients = np.empty((len(exponents), 2))
-    effective = 0.0
-    for axis in (0, 1):
-        shrunk, axis_effective = posterior.mean(axis)
-        affine = columns[:, order < 2] * weights[:, axis, None]
-        affine_targets = weights[:, axis] * (image[:, axis] - columns[:, order > 1] @ shrunk)
-        coefficients[order > 1, axis] = shrunk
-        coefficients[order < 2, axis] = np.linalg.lstsq(affine, affine_targets)[0]
-        effective += axis_effective
+    coefficients[order > 1] = shrunk
+    # Affine terms fit what the others leave.
+    residuals = image - columns[:, order > 1] @ shrunk
+    if weights is None:
+        coefficients[order < 2] = np.linalg.lstsq(affine, residuals)[0]
+    else:
+        for axis, w in enumerate(weights.T):
+            coefficients[order < 2, axis] = np.linalg.lstsq(affine * w[:, None],
+                                                            residuals[:, axis] * w)[0]
+    effective = line_effective + sample_effective
     return coefficients, effective
 
 

@@ -6,13 +6,13 @@ from contextlib import suppress
 from functools import cache
 from hashlib import sha256
 from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 
 from termsel.core.errors import TermselError, requires
 from termsel.core.files.atomic import write_bytes
 from termsel.core.version import __version__
 from termsel.report.pictures import bundle
-from termsel.report.theme import require_altair
 
 EMBED = "termselEmbed"
 """The function of the library, by a name that no other script on a page has."""
@@ -32,9 +32,11 @@ def library() -> str:
     TermselError
         If altair or vl-convert-python is not installed.
     """
-    require_altair()
-    with requires("pages require", "vl-convert-python", '"termsel[report]"'):
-        import vl_convert  # noqa: F401 (what another process imports)
+    for module, package in (("altair", "altair"), ("vl_convert", "vl-convert-python")):
+        # A page without charts imports neither, as that takes long.
+        with requires("pages require", package, '"termsel[report]"'):
+            if find_spec(module) is None:
+                raise ImportError(name=module)
     cached = _CACHE_FOLDER / f"{EMBED}-{version('vl-convert-python')}-{__version__}.js"
     with suppress(OSError):
         # The checksum refuses what a crash, or another program, has left there.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from msgspec.structs import replace as changed
@@ -175,6 +176,7 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
     predicted_final = None if final is None or predicted is None else predicted_of_all(
         choice.chosen, predicted, agreeing.independent.ground)
 
+    @cache  # they are asked for by who judges and by who writes
     def baselines(in_roles: Observations) -> tuple[Baseline, ...]:
         # The chosen one is the selection, and is not shown twice unless it is plain.
         return tuple(row for row in comparison.baselines(in_roles)

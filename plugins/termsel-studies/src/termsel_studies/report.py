@@ -9,7 +9,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from termsel import Study, TermselError, read_result
-from termsel.toolkit import Document, Figure, Section, counted, page, require_altair, write_text
+from termsel.toolkit import Document, Figure, Section, counted, page, write_text
 from termsel.toolkit.charts import save, styled, text_of
 from termsel.toolkit.studies import IMAGES, folders_of
 from termsel_studies.figures import figures_of
@@ -33,7 +33,6 @@ def report(study: Study, charts: list[Figure] | None = None) -> str:
 
     `charts` are by default those of `figures_of`. Raises TermselError without the extra `report`.
     """
-    require_altair()
     return page(_document(study, figures_of(study) if charts is None else charts,
                           thumbnails(study)))
 
