@@ -133,7 +133,7 @@ def spline_field(knots: FloatArray) -> SplineField:
 def _cached_spline_field(coordinates: bytes) -> SplineField:
     knots = np.frombuffer(coordinates).reshape(-1, 2)
     affine = _affine_columns(knots)
-    to_affine = np.linalg.pinv(affine)
+    to_affine = np.asarray(np.linalg.pinv(affine), dtype=np.float64)
     # A spline has no variance of affine functions: they are projected out of its kernel.
     residual_maker = np.eye(len(knots)) - affine @ to_affine
     kernels = kernel(knots, knots)
