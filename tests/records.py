@@ -53,7 +53,7 @@ def record(**changed: Any) -> dict[str, Any]:
                  "roles": {key: [] for key in ("control", "check", "independent", "off")},
                  "counts": {"control": 24, "lines": 0, "check": 12, "independent": 9, "off": 0}},
         "selection": {"terms": ["line:1", "line:X"], "features": ["A", "B"], "n_terms": 2,
-                      "n_features": 2},
+                      "n_features": 2, "parameters": {}},
         "offered": {"n_terms": 2, "n_features": 2},
         "rmse": roles(1.0, 2.0, 3.0),
         "baselines": [baseline("all-terms", 20, roles(0.5, 5.0, 6.0), fitted_to=("control",))],

@@ -321,7 +321,7 @@ def test_auto_chooses_one_of_the_session_and_reads_it_back(
     assert "The geometry of crossed is known." in result.strategy.reason
     assert "a known model with a twist" in result.judgement
     assert result.model == "crossed"
-    assert result.plugins["method"]["name"] == "session:crossed-known"
+    assert result.plugins["method"].name == "session:crossed-known"
     assert sum(note.startswith("Left out of the choice: method 'broken'")
                for note in result.notes) == 1
     again = termsel.read_result(tmp_path / "r")

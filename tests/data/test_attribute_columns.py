@@ -315,7 +315,7 @@ def test_exports_have_them(scene: FeatureSet, tmp_path: Path) -> None:
     assert table["of"].tolist() == table["id"].tolist()
     # A GeoPackage takes no two columns whose names differ in case alone.
     more = replace(lines(), attributes={"Source": ["x", "x", "y"]})
-    both = replace(result, features=FeatureSet(at, more, crs="EPSG:4979"))
+    both = result.with_(features=FeatureSet(at, more, crs="EPSG:4979"))
     termsel.export(both, "residuals-gpkg", tmp_path / "both.gpkg")
     table = geopandas.read_file(tmp_path / "both.gpkg", layer="residuals")
     assert dict(zip(table["id"], table["source"], strict=True)) \

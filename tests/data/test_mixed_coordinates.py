@@ -128,5 +128,5 @@ def test_what_to_do_next_is_to_correct_the_coordinates(kind: str) -> None:
     words = " ".join(result.summary().split())
     assert "correct the coordinates first: " in words
     assert "Next: run again with --off" not in words
-    assert next_step(result.record, "result") == "Next: correct the coordinates, then run again"
-    assert result.record.data.read.mixed == note_on_mixed(given)
+    assert next_step(result, "result") == "Next: correct the coordinates, then run again"
+    assert result.data.read.mixed == note_on_mixed(given)

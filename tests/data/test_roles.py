@@ -153,20 +153,21 @@ def test_the_prediction_on_demand_is_of_the_fit_to_all_points() -> None:
     given: dict[str, Any] = {"options": {"fractions": "1:1:1"}}
     result = termsel.run(features=features, **given)
     assert result.predicted is not None
-    assert result.predicted_final is not None
-    assert 0.6 * result.predicted.rmse < result.predicted_final.rmse < 0.99 * result.predicted.rmse
+    of_all = result.final_fit.predicted
+    assert of_all is not None
+    assert 0.6 * result.predicted.rmse < of_all.rmse < 0.99 * result.predicted.rmse
     moved = features.points.image.copy()
     moved[np.isin(features.points.ids, result.data.roles.independent)] += 0.7
     other = termsel.run(features=features.with_(points=replace(features.points, image=moved)),
                         **given)
-    assert other.predicted_final == result.predicted_final
-    assert result.as_exported(False).predicted_final is None
+    assert other.final_fit.predicted == of_all
+    assert result.as_exported(False).final_fit is None
 
 
 def test_few_independent_points_come_after_the_prediction(tmp_path: Path) -> None:
     features = sheet(30)
     result = termsel.run(features=features, options={"fractions": "2:1:1"}, out=tmp_path / "r")
-    expected, accuracy = result.predicted_final, result.accuracy
+    expected, accuracy = result.final_fit.predicted, result.accuracy
     assert expected is not None
     assert accuracy is not None
     shown = " ".join(result.summary().split())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -147,7 +146,7 @@ def test_a_plan_counts_what_the_model_does_not_fit(tmp_path: Path) -> None:
 def test_what_all_places_share_is_part_of_the_uncertainty(tmp_path: Path) -> None:
     features, ground, _ = sheet(20, 0.0, 4)
     result = termsel.run(features=features)
-    shared = replace(result, shared_sigma=(3.0, 4.0))
+    shared = result.with_(shared_sigma=(3.0, 4.0))
     np.testing.assert_allclose(shared.sigma(ground), np.hypot(result.sigma(ground), [3.0, 4.0]))
     expected = np.hypot(plan(result, 1).sigma_before, 5.0)
     assert plan(shared, 1).sigma_before == pytest.approx(expected)

@@ -6,7 +6,6 @@ import json
 import re
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -313,7 +312,7 @@ def test_points_of_qgis_come_back(tmp_path_factory: pytest.TempPathFactory, resu
                     roles=tuple(roles))
     used = Residuals(Residual(name, "point", role, role == "control", 0.0, 0.0, *ground)
                      for name, role, ground in zip(ids, roles, points.ground.tolist(), strict=True))
-    chosen = replace(result, features=FeatureSet(points, crs="EPSG:4979"), residuals=used)
+    chosen = result.with_(features=FeatureSet(points, crs="EPSG:4979"), residuals=used)
     path = tmp_path_factory.mktemp("qgis") / "image.points"
     write(chosen, "qgis-points", path)
     found = termsel.read(path)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 import termsel
 from termsel.core.errors import TermselError
@@ -88,7 +89,7 @@ def test_conformance(check: Check) -> None:
                                     GeolocationVrt(step=500), LinesTable()], ids=lambda w: w.name)
 def test_conformance_on_fitted_scenes(writer: termsel.Writer, geographic: Result,
                                       of_lines: Result) -> None:
-    local = replace(geographic, fit=replace(geographic.fit, control=replace(
+    local = geographic.with_(fit=replace(geographic.fit, control=replace(
         geographic.fit.control, crs="local")))
     results = [geographic, of_lines] + ([local] if "rpc" in writer.name else [])
     for check in checks(writer, filename=f"scene{writer.suffix}", results=results):
@@ -262,7 +263,7 @@ def test_lines_csv_keeps_deviations(of_lines: Result, tmp_path: Path) -> None:
     sigma = np.arange(1.0, 1.0 + len(control.lines))
     weighed = of_lines.features.with_(lines=replace(control.lines, sigma=sigma))
     path = tmp_path / "lines.csv"
-    LinesTable().write(replace(of_lines, features=weighed), path)
+    LinesTable().write(of_lines.with_(features=weighed), path)
     chosen = np.isin(control.lines.ids, of_lines.selection.features)
     np.testing.assert_array_equal(LinesCsv().read(path).lines.sigma, sigma[chosen])
 
@@ -288,9 +289,9 @@ def test_names_with_markup_survive_a_vrt(tmp_path: Path) -> None:
                      ids=('a<b>&"c"', *result.features.points.ids[1:]))
     control = replace(result.fit.control, points=points.take(
         np.array(points.roles) == "control"))
-    named = replace(result, features=replace(result.features, points=points),
+    named = result.with_(features=replace(result.features, points=points),
                     fit=replace(result.fit, control=control),
-                    selection=replace(result.selection, features=control.ids))
+                    selection=structs.replace(result.selection, features=control.ids))
     GcpVrt().write(named, tmp_path / "gcps.vrt")
     with rasterio.open(tmp_path / "gcps.vrt") as raster:
         assert [gcp.id for gcp in raster.gcps[0]] == list(control.ids)
@@ -362,14 +363,14 @@ def test_an_image_of_another_size_is_refused(geographic: Result, tmp_path: Path)
 def test_an_image_holds_all_features_or_is_refused(geographic: Result, tmp_path: Path,
                                                    axis: int) -> None:
     (tmp_path / "small.tif").write_bytes(empty_tiff())
-    unknown = replace(geographic, features=replace(geographic.features, image_size=None))
+    unknown = geographic.with_(features=replace(geographic.features, image_size=None))
     image = np.zeros_like(geographic.features.points.image)
     # The edges of the only pixel are at -0.5 and 0.5; 5 px beyond is an error of measuring.
     for place, fits, message in (
             (5.5, True, ""), (5.6, False, "lines and 1 samples, but features extend to line"),
             (-5.5, True, ""), (-5.6, False, "before the first pixel of the image")):
         image[3, axis] = place
-        within = replace(unknown, features=replace(unknown.features, points=replace(
+        within = unknown.with_(features=replace(unknown.features, points=replace(
             unknown.features.points, image=image)))
         if fits:
             assert picture_for(within, tmp_path / "small.tif").size == (1, 1)

@@ -73,7 +73,7 @@ def test_a_fit_converges_and_the_record_says_so(page: dict[str, Any], scene: ter
     assert result.rmse["independent"].total < 1.0
     steps = result.fit.adjustment.steps
     assert 1 < steps < 15
-    found = result.record.adjustment
+    found = result.adjustment
     assert (found.steps, found.converged) == (steps, True)
     assert any(f"the selection itself took {steps} steps" in note for note in result.notes)
     said = f"the fit converged after {steps} steps"
@@ -113,7 +113,7 @@ def test_what_has_not_converged_is_not_praised(astray: type[termsel.SensorModel]
         termsel.fit(scene, astray)
     result = termsel.run("rfm-terms", features=scene, model=astray, solver="all-terms")
     assert not result.feasible
-    assert result.record.adjustment.converged is False
+    assert result.adjustment.converged is False
     assert result.judgement.startswith("The fit of this selection did not converge")
     assert "better" not in result.judgement
     assert "do not use this fit: it did not converge" in result.summary()

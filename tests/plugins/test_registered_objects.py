@@ -25,6 +25,7 @@ from termsel import (
     TermselError,
     read_result,
 )
+from termsel.data.record.base import plain
 from termsel.plugins.registry import Registry, registry
 from termsel.results.result import Result as Record
 
@@ -105,8 +106,8 @@ def test_what_no_plugin_provides_runs_and_its_record_says_so(
     assert result.problem == "crossed-terms"
     assert "line.num:X2" not in result.fit.model.terms
     assert result.objectives["worst"] > 0
-    assert result.plugins["model"] == {"name": "session:crossed", "version": "",
-                                       "class": f"{__name__}.Crossed"}
+    assert plain(result.plugins["model"]) == {"name": "session:crossed", "version": "",
+                                              "class": f"{__name__}.Crossed"}
     assert set(result.plugins) == {"problem", "model", "solver", "criterion"}
     assert f"call termsel.register({__name__}.Crossed)" in " ".join(result.notes)
 
@@ -211,9 +212,9 @@ def test_any_optimiser_gets_a_result() -> None:
     genes = descended(task)
     result = termsel.assess(termsel.GivenGenes(genes), task)
     assert isinstance(result, Result)
-    assert result.selection == task.problem.decode(genes)
+    assert result.selection == task.problem.decode(genes).record()
     assert result.objectives["check-rmse"] == pytest.approx(result.rmse["check"].total)
-    assert (result.solver, result.options["solver"], result.evaluations) == ("given", {}, 1)
+    assert (result.solver, result.options.solver, result.evaluations) == ("given", {}, 1)
     assert "how they were found is not recorded" in " ".join(result.notes)
     assert "solver given" in result.summary(verbose=True)
 
@@ -273,5 +274,5 @@ def test_a_second_step_by_a_solver_of_ones_own_is_recorded() -> None:
 
     result = termsel.run("owdis-lines-terms", evaluations=60, options={
         "steps": "features-first", "then": "random-again", "order": 1})
-    assert result.plugins["then"]["name"] == "session:random-again"
+    assert result.plugins["then"].name == "session:random-again"
     assert "solver" not in result.plugins

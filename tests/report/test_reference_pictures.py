@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ import numpy as np
 import pytest
 
 import termsel
+from termsel.data.record.search import HistoryRow
 from termsel.report import view
 from termsel.report.plots import KINDS, chart
 from termsel.report.theme import styled
@@ -61,7 +61,7 @@ def scene() -> termsel.FeatureSet:
 def chosen() -> termsel.Result:
     """Return a choice by auto, next to fits whose figures no rounding decides."""
     found = termsel.run("rfm-terms", features=scene())
-    return replace(found, baselines=tuple(one for one in found.baselines if one.name in (
+    return found.with_(baselines=tuple(one for one in found.baselines if one.name in (
         "affine", "dlt", "quadratic", "shrunken-quadratic")))
 
 
@@ -71,9 +71,10 @@ def searched() -> termsel.Result:
     found = termsel.run("poly-terms", features=scene(), solver="exact", options={
         "degree": 2, "off": "P9"})
     sizes = [[6, 6, 5, 3], [7, 6, 4, 3], [8, 7, 5, 0], [11, 9, 0, 0]]
-    return replace(found, history=tuple(
-        {"evaluations": 20 * (k + 1), "best": 9.0 / (k + 1), "median": 30.0 / (k + 1),
-         "feasible": (0.25, 0.5, 0.9, 1.0)[k], "empires": one} for k, one in enumerate(sizes)))
+    return found.with_(history=tuple(
+        HistoryRow(evaluations=20 * (k + 1), best=9.0 / (k + 1), median=30.0 / (k + 1),
+                   feasible=(0.25, 0.5, 0.9, 1.0)[k], empires=tuple(one))
+        for k, one in enumerate(sizes)))
 
 
 def study() -> Study:

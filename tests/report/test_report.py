@@ -7,7 +7,6 @@ import re
 import shlex
 import sys
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -314,7 +313,7 @@ def test_of_many_residuals_the_largest_and_some_others_are_shown(
     monkeypatch.setattr("termsel.report.view.LARGEST_RESIDUALS", 10)
     count, largest = len(chosen.residuals), sorted(r.distance for r in chosen.residuals)[-10:]
     step = -(-count // 20)
-    fresh = replace(chosen)  # what is shown is kept
+    fresh = chosen.with_()  # what is shown is kept
     view = fresh.view
     assert 20 <= len(view.in_image) == len(view.on_ground) <= 30 < count
     assert {row["id"] for row in view.worst} <= {row["id"] for row in view.in_image}
@@ -333,7 +332,7 @@ def test_the_command_repeats_the_run(call: Call, request: pytest.FixtureRequest,
     folder = request.getfixturevalue(fixture)
     monkeypatch.chdir(folder)
     record = json.loads((folder / "result.json").read_text())
-    words = shlex.split(command(termsel.read_result(folder).record).replace("\\\n", " "))
+    words = shlex.split(command(termsel.read_result(folder)).replace("\\\n", " "))
     assert call(*words[1:], "--quiet", "--out", tmp_path / "again").exit_code == 0
     again = json.loads((tmp_path / "again" / "result.json").read_text())
     for key in ("terms", "features"):
@@ -352,8 +351,8 @@ def test_budgets_are_in_the_record_and_the_command(tmp_path: Path) -> None:
     assert plain(result.budget) == {"generations": 7, "seconds": 95.0, "patience": 30}
     record = json.loads((tmp_path / "r" / "result.json").read_text())
     assert record["budget"] == plain(result.budget)
-    assert "--generations 7 " in command(result.record)
-    assert command(result.record).replace("\\\n", " ").split()[-6:] == [
+    assert "--generations 7 " in command(result)
+    assert command(result).replace("\\\n", " ").split()[-6:] == [
         "--generations", "7", "--seconds", "95", "--patience", "30"]
     result.report(tmp_path / "page.html")
     assert "so the result depends on the machine" in (tmp_path / "page.html").read_text()
@@ -377,7 +376,7 @@ def test_what_no_command_repeats_is_said(tmp_path: Path) -> None:
     task = termsel.prepare("poly-terms")
     genes = task.problem.genome.random(np.random.default_rng(1), 1)[0]
     result = termsel.assess(termsel.GivenGenes(genes), task)
-    assert "genes were given" in not_by_command(result.record)
+    assert "genes were given" in not_by_command(result)
 
 
 @pytest.mark.slow

@@ -161,7 +161,8 @@ def test_a_choice_without_a_prediction() -> None:
 
 def member(terms: list[str], press: float, size: int, independent: float | None) -> dict[str, Any]:
     return {"objectives": {"n_terms": size, "press": press}, "rmse": roles(1, 2, independent),
-            "selection": {"terms": terms, "features": ["A", "B"], "n_terms": 1, "n_features": 2}}
+            "selection": {"terms": terms, "features": ["A", "B"], "n_terms": 1, "n_features": 2,
+                          "parameters": {}}}
 
 
 FRONT = [member(["line:1"], 2.5, 1, None), member(["line:1", "line:X"], 1.5, 2, 1.25)]

@@ -70,7 +70,7 @@ def _again(result: Result, folder: Path) -> Result:
     write_result(result, folder)
     again = read_result(folder)
     assert again.to_json() == result.to_json()
-    assert again.record == result.record
+    assert again.to_dict() == result.to_dict()
     return again
 
 

@@ -352,7 +352,7 @@ def test_control_and_check_points_are_used_together(criterion: str) -> None:
         assert json.loads(result.to_json())["rmse"]["check"]["total"] is None
         assert "independent check points" in result.judgement
         assert "48 control points, no selection points" in result.summary(verbose=True).lower()
-        assert result.options["data"]["check_as"] == "control"
+        assert result.options.data["check_as"] == "control"
     # The points come in another order, of which the folds and rounding take notice.
     assert set(results[0].fit.control.ids) == set(results[1].fit.control.ids)
     apart = termsel.run("rfm-terms", options={**options, "check_as": "judge"}, **given)

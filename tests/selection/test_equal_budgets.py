@@ -76,8 +76,8 @@ def third(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_solver_asked_for_by_name_has_the_budget_the_cap_and_no_refinement(solver: str) -> None:
     result = termsel.run("poly-terms", solver=solver, options={"degree": 3})
     assert result.evaluations == EVALUATIONS
-    assert result.options["problem"]["max_share"] == pytest.approx(2 / 3)
-    assert result.options["search"]["polish"] is False
+    assert result.options.problem["max_share"] == pytest.approx(2 / 3)
+    assert result.options.search["polish"] is False
     assert result.polish is None
 
 
@@ -95,7 +95,7 @@ def test_a_refinement_is_part_of_the_budget_of_any_solver(solver: str) -> None:
 
 def test_the_own_run_of_a_problem_refines_and_says_so() -> None:
     result = termsel.run("owdis-points", generations=2)
-    assert result.options["search"] == {
+    assert result.options.search == {
         "polish": True, "tolerance": next(o.default for o in SEARCH_OPTIONS
                                           if o.name == "tolerance")}
     assert result.to_dict()["polish"]["evaluations"] > 0

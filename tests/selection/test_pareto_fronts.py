@@ -102,7 +102,7 @@ def test_the_proven_front_is_recommended_from_where_a_rule_is_given() -> None:
     given = {"solver": "exact", "model": "poly2d"}
     best = termsel.run("rfm-terms", options={"degree": 4}, **given)
     assert best.certificate.optimal
-    assert best.options["problem"]["recommend"] == "best"
+    assert best.options.problem["recommend"] == "best"
     for rule in ("one-standard-error", "knee", "ebic"):
         found = termsel.run("rfm-terms", options={"degree": 4, "recommend": rule}, **given)
         assert found.front == best.front

@@ -6,9 +6,9 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
+from msgspec import structs
 from scipy import stats
 
 import termsel
@@ -226,9 +226,9 @@ def test_the_summary_tells_a_mean_error_and_errors_that_are_not_normal() -> None
     assert result.accuracy is not None
 
     def said(**image: tuple[float, float]) -> str:
-        accuracy = msgspec.structs.replace(result.accuracy, image=msgspec.structs.replace(
+        accuracy = structs.replace(result.accuracy, image=structs.replace(
             result.accuracy.image, line=1.0, sample=1.0, **image))
-        return " ".join(replace(result, accuracy=accuracy).summary(verbose=True).split())
+        return " ".join(result.with_(accuracy=accuracy).summary(verbose=True).split())
 
     usual = said(mean=(0.1, -0.1), normal=(0.4, 0.3))
     assert "is significant" not in usual

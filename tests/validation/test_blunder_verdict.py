@@ -80,7 +80,7 @@ def test_what_was_tested_before_is_not_tested_again(problem: str) -> None:
     result = termsel.run(problem, features=features, **how)
     assert {one.role for one in result.outliers} == {"independent"}
     assert features.points.ids[0] in {one.id for one in result.residuals}
-    assert "--set tested=true" in command(result.record)
+    assert "--set tested=true" in command(result)
     clean = termsel.run(problem, features=scene({}), **how)
     assert "Outliers  tested in an earlier run, not in this one" in clean.summary()
     assert "Outliers were tested in an earlier run, not here." in clean.summary(verbose=True)

@@ -7,9 +7,9 @@ import pytest
 import termsel
 from termsel.auto.methods import named
 from termsel.core.errors import counted
+from termsel.data.record.figures import Rmse
 from termsel.fitting.figures import Baseline
 from termsel.fitting.method import Method
-from termsel.fitting.residuals import Rmse
 from termsel.runs.judgement import judge, judge_choice, name_conventional
 
 

@@ -294,7 +294,7 @@ def test_check_points_alone_are_no_control_of_micmac(tmp_path: Path) -> None:
     points = result.features.points
     ground = points.ground.copy()
     ground[[name not in names for name in points.ids], 2] = np.nan
-    checks = replace(result, features=replace(result.features, points=replace(
+    checks = result.with_(features=replace(result.features, points=replace(
         points, ground=ground)))
     with pytest.raises(TermselError, match="independent check points"):
         termsel.export(checks, "micmac-xml", tmp_path / "a.xml")

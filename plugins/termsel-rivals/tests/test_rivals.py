@@ -66,5 +66,5 @@ def test_what_is_read_again_is_what_the_run_returned(solver: str, tmp_path: Path
     write_result(result, tmp_path)
     again = termsel.read_result(tmp_path)
     assert again.to_json() == result.to_json()
-    assert again.record == result.record
+    assert again.to_dict() == result.to_dict()
     assert again.fit.coefficients == result.fit.coefficients

@@ -80,7 +80,7 @@ def test_a_search_takes_the_parametric_form() -> None:
     result = termsel.run("owdis-lines", model="rpc-shift", solver="swap", seed=1, evaluations=100,
                          features=with_roles(), options={"rpc": DATASET_NAME,
                                                          "line_form": "parametric"})
-    assert result.record.options.model["line_form"] == "parametric"
+    assert result.options.model["line_form"] == "parametric"
     check = result.rmse["check"]
     assert check is not None
     assert check.total < 1.0

@@ -74,7 +74,7 @@ def fgdc(tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 
 def without_independent(result: Result) -> Result:
-    return replace(result, accuracy=None)
+    return result.with_(accuracy=None)
 
 
 def texts(root: Any, path: str) -> list[str]:
@@ -175,7 +175,7 @@ def test_the_writers_conform(writer: type[termsel.Writer]) -> None:
 
 
 def test_plane_coordinates_and_lost_images_are_refused(result: Result, tmp_path: Path) -> None:
-    local = replace(result, features=replace(result.features, crs="local"))
+    local = result.with_(features=replace(result.features, crs="local"))
     with pytest.raises(TermselError, match="CRS of the Earth"):
         quality_of(local)
     (tmp_path / "run").mkdir()

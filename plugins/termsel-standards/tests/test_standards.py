@@ -246,7 +246,7 @@ def test_a_table_that_is_no_text(tmp_path: Path) -> None:
 def test_a_result_without_independent_points(result: Result) -> None:
     points = result.features.points
     roles = ["check" if role == "independent" else role for role in points.roles]
-    none = replace(result, features=replace(result.features, points=replace(
+    none = result.with_(features=replace(result.features, points=replace(
         points, roles=tuple(roles))))
     with pytest.raises(TermselError, match="no independent points"):
         errors_of(none)
@@ -334,7 +334,7 @@ def test_the_fields_of_other_extensions_are_of_their_types(
     # An item declares the extensions that it has fields of, no others.
     assert [uri.split("/")[3] for uri in item["stac_extensions"]] == [
         "projection", "processing", "accuracy"]
-    export(replace(result, accuracy=None), "stac-item", path, overwrite=True)
+    export(result.with_(accuracy=None), "stac-item", path, overwrite=True)
     bare = json.loads(path.read_text())
     assert [uri.split("/")[3] for uri in bare["stac_extensions"]] == ["projection", "processing"]
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -47,27 +46,6 @@ def correlations(fit: Fit) -> Iterator[tuple[str, str, float]]:
     high = np.argwhere(np.triu(np.abs(matrix) >= CORRELATED, 1))
     for i, j in sorted(high.tolist(), key=lambda pair: -abs(matrix[pair[0], pair[1]])):
         yield names[i], names[j], float(matrix[i, j])
-
-
-@dataclass(frozen=True, eq=False)
-class Diagnosis:
-    """What a fit says about its terms and its lines.
-
-    Significance is by the name of each term in use, correlations are pairs of terms as
-    `correlations` yields them, and the orientation spread is of the lines in use; None without
-    lines.
-    """
-
-    significance: Mapping[str, Significance]
-    correlations: tuple[tuple[str, str, float], ...]
-    orientation_spread: float | None
-
-
-def diagnose(fit: Fit) -> Diagnosis:
-    """Return the diagnosis of a fit."""
-    lines = fit.control.take(fit.used).lines
-    return Diagnosis(significance(fit), tuple(correlations(fit)),
-                     orientation_spread(lines) if len(lines) else None)
 
 
 def orientation_spread(lines: Lines) -> float:

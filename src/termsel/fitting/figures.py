@@ -9,10 +9,10 @@ import numpy as np
 from msgspec import UNSET
 
 from termsel.data.record.base import Role
-from termsel.data.record.figures import BaselineRow, Outlier, RmseByRole, RoleRmse
+from termsel.data.record.figures import BaselineRow, Outlier, Rmse, RmseByRole, RoleRmse
 from termsel.data.roles import Observations
 from termsel.fitting.fit import FIXED_COEFFICIENTS, Fit
-from termsel.fitting.residuals import Residuals, Rmse, control_residuals, point_residuals
+from termsel.fitting.residuals import Residuals, control_residuals, point_residuals
 
 ROLES = ("control", "check", "independent")
 
@@ -65,16 +65,6 @@ def _of_role(rmse: Rmse | None) -> RoleRmse:
         return RoleRmse(None, None, None, 0)
     return RoleRmse(finite_or_none(rmse.line), finite_or_none(rmse.sample),
                     finite_or_none(rmse.total), rmse.n, rmse.freedom)
-
-
-def rmse_from(record: RmseByRole) -> dict[str, Rmse | None]:
-    """Return the RMSE by role that `rmse_record` gave a record for."""
-    rmse_by_role: dict[str, Rmse | None] = {}
-    for role, figures in record.by_role.items():
-        rmse_by_role[role] = Rmse(number(figures.line), number(figures.sample),
-                                  number(figures.total), figures.n,
-                                  figures.freedom) if figures.n else None
-    return rmse_by_role
 
 
 def number(value: float | None) -> float:

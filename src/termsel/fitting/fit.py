@@ -22,11 +22,12 @@ from termsel.data.extent import image_extent, reach
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Lines, Points
 from termsel.data.locate import Surface, locate
 from termsel.data.record.base import Settings
+from termsel.data.record.figures import Rmse
 from termsel.data.scaling import Scaling, scaling_of
 from termsel.data.view import CentralView, view_of
 from termsel.fitting.extrapolation import by_heights
 from termsel.fitting.misfit import Misfit, misfit_of, mixed_misfit
-from termsel.fitting.residuals import Residuals, Rmse, control_residuals, rmse_of
+from termsel.fitting.residuals import Residuals, control_residuals, rmse_of
 from termsel.fitting.uncertainty import Spread, Unexplained, spread_of, unexplained_by
 from termsel.models.base import SensorModel
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from termsel.data.coordinates.crs import LOCAL
 from termsel.data.features import FeatureSet, FloatArray, IntArray, Lines, Points, select
+from termsel.data.record.figures import Rmse
 from termsel.data.tables.tabular import Framed
 
 
@@ -145,22 +146,6 @@ def _piece_numbers(lines: Lines) -> IntArray:
         numbers[i] = count_by_id[name]
         count_by_id[name] += 1
     return numbers
-
-
-@dataclass(frozen=True)
-class Rmse:
-    """Root mean square errors [px] over n features.
-
-    `total` is sqrt(mean(dl^2 + ds^2)) over points. For control lines the error is the
-    distance of each projected ground vertex from the image line, taken along its normal.
-    """
-
-    line: float
-    sample: float
-    total: float
-    n: int
-    freedom: float | None = None
-    """Degrees of freedom of the squared errors, by `freedom_of`; None if not known."""
 
 
 def rmse_of(errors: FloatArray, n: int) -> Rmse | None:

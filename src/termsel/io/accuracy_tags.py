@@ -65,9 +65,8 @@ def prediction_of(result: Result) -> Prediction | None:
     Of points that were computed, or are a lattice, none is known: nothing tells how well the image
     was measured.
     """
-    record = result.record
-    expected = expected_of(record)
-    if expected is None or are_computed(record) or lattice_of(record) is not None:
+    expected = expected_of(result)
+    if expected is None or are_computed(result) or lattice_of(result) is not None:
         return None
     points = len(result.fit.control.points)
     # An image of a block shares its control with others: its own cross-validation would not say it.
@@ -94,9 +93,8 @@ def accuracy_tags(result: Result) -> dict[str, str]:
     written_at = datetime.now(UTC)
     tags = {"TIFFTAG_SOFTWARE": f"termsel {__version__}", "ACCURACY_DATE": f"{written_at:%Y-%m-%d}",
             "TIFFTAG_DATETIME": f"{written_at:%Y:%m:%d %H:%M:%S}"}
-    record = result.record
     accuracy = result.accuracy
-    expected = expected_of(record)
+    expected = expected_of(result)
     predicted = "" if expected is None else (
         f"predicted RMSE {expected.rmse:.3g} px "
         f"({100 * expected.level:g} % interval {expected.low:.3g} to {expected.high:.3g} px)")
@@ -108,7 +106,7 @@ def accuracy_tags(result: Result) -> dict[str, str]:
         f" of this run; an earlier result showed {accuracy.spent_count} of them"
         if accuracy.spent_count else "")
     # As in the summary, the surer of both figures is said first.
-    tags["ACCURACY_STATED"] = f"{predicted}; below {stated}" if predicted_first(record) else stated
+    tags["ACCURACY_STATED"] = f"{predicted}; below {stated}" if predicted_first(result) else stated
     tags["ACCURACY_POINTS"] = str(accuracy.image.n)
     low, high = accuracy.image.interval
     tags["ACCURACY_RMSE_PX_INTERVAL"] = f"{low:.4g} to {high:.4g} (90 %)"

@@ -13,20 +13,17 @@ from termsel.core.errors import TermselError, printable
 from termsel.core.version import __version__
 from termsel.data.features import FeatureSet
 from termsel.data.record.base import plain
-from termsel.data.record.figures import BaselineRow
 from termsel.data.record.record import SCHEMA, PluginRecord, Record
 from termsel.data.roles import ASSIGNABLE, Observations, by_roles
 from termsel.data.scaling import Scaling
 from termsel.data.twins import merged
-from termsel.fitting.diagnosis import Diagnosis
-from termsel.fitting.figures import Baseline, figures, in_role, residuals_of, rmse_from
+from termsel.fitting.figures import figures, in_role, number, residuals_of
 from termsel.fitting.fit import Estimator, Fit
 from termsel.fitting.method import Method
 from termsel.models.base import SensorModel
 from termsel.plugins.registry import registry
-from termsel.results.result import CARRIED, Result
+from termsel.results.result import Result
 from termsel.results.same_fit import fit_of_record
-from termsel.selection.problems.base import Selection
 
 AGAIN = "Run the search again."
 """What to do with a record that cannot be read."""
@@ -64,29 +61,10 @@ def result_from(record: Record, features: FeatureSet) -> Result:
     model = _model(record)
     fitted = _fit(record, model, observations)
     _refuse_other_model(record, fitted, observations)
-    return Result(
-        # What the record and a result have alike is handed on by name.
-        **{name: getattr(record, name) for name in CARRIED},
-        options=plain(record.options),
-        plugins={role: plain(plugin) for role, plugin in record.plugins.items()},
-        selection=Selection(record.selection.terms, record.selection.features,
-                            record.selection.parameters or {}),
-        rmse=rmse_from(record.rmse),
-        baselines=tuple(map(_baseline, record.baselines)),
-        fit=fitted, diagnosis=Diagnosis(
-            record.significance, tuple((*pair.terms, pair.correlation)
-                                       for pair in record.correlations),
-            record.adjustment.orientation_spread),
-        residuals=residuals_of(fitted, observations, record.outliers,
-                               check_used=record.strategy is not None),
-        features=features, final=_final(record, model, observations),
-        predicted_final=None if record.final is None else record.final.predicted)
-
-
-def _baseline(row: BaselineRow) -> Baseline:
-    """Return a conventional fit as its row of the record has it."""
-    return Baseline(row.name, row.n_terms, row.fitted_to, row.determined, rmse_from(row.rmse),
-                    row.predicted, refused=row.refused or "")
+    residuals = residuals_of(fitted, observations, record.outliers,
+                             check_used=record.strategy is not None)
+    return Result.of(record, fit=fitted, final=_final(record, model, observations),
+                     features=features, residuals=residuals)
 
 
 def _model(record: Record) -> SensorModel:
@@ -94,7 +72,7 @@ def _model(record: Record) -> SensorModel:
     model_type = _model_type(record.plugins.get("model"), record.model)
     # A plugin may have changed its options since: that is said by its own error.
     declared: SensorModel = model_type(**record.options.model)
-    model = declared.with_parameters(record.selection.parameters or {})
+    model = declared.with_parameters(record.selection.parameters)
     if unknown := [name for name in record.coefficients if name not in model.terms]:
         raise TermselError(f"the installed model has no term {unknown[0]!r}, which is in the "
                            "record: the model is not the one of the run", hint=_made_by(record))
@@ -104,7 +82,7 @@ def _model(record: Record) -> SensorModel:
 def _fit(record: Record, model: SensorModel, observations: Observations) -> Fit:
     """Return the fit of the selection: of the control, or of all it was made with."""
     control = observations.control
-    how = record.fit
+    how = record.estimation
     if how.features is None:
         # A search selects among the control; auto fits to control and check points with twins
         # merged.
@@ -136,7 +114,7 @@ def _made_of(features: FeatureSet, points: set[str], ids: tuple[str, ...]) -> Fe
 
 def _final(record: Record, model: SensorModel, observations: Observations) -> Fit | None:
     """Return the final fit: of all points with a role but independent outliers."""
-    final = record.final
+    final = record.final_fit
     if final is None:
         return None
     points = observations.features.points
@@ -186,14 +164,15 @@ def _refuse_other_model(record: Record, fitted: Fit, observations: Observations)
     """Refuse a model that has changed since the run, as another version of a plugin may have."""
     current_rmse = figures(fitted, observations)
     # Leave-one-out of what auto chose is told by what it predicts, not here.
-    for role, rmse in rmse_from(record.rmse).items():
+    for role, rmse in record.rmse.by_role.items():
         current = current_rmse.get(role)
+        total = number(rmse.total)
         # Computed again from the features: rounding of the file is far below 1e-3.
-        if rmse is not None and current is not None and not np.isclose(
-                rmse.total, current.total, rtol=1e-3, atol=1e-6, equal_nan=True):
+        if rmse.n and current is not None and not np.isclose(
+                total, current.total, rtol=1e-3, atol=1e-6, equal_nan=True):
             raise TermselError(
                 f"the {role} RMSE is {current.total:.4g} px by the installed model and "
-                f"{rmse.total:.4g} px in the record: the model is not the one of the run",
+                f"{total:.4g} px in the record: the model is not the one of the run",
                 hint=_made_by(record))
 
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
+from msgspec import structs
 
 from termsel.core.errors import TermselError, first_of
 from termsel.data.features import Points
@@ -32,7 +31,7 @@ def with_spent(result: Result, folder: Path) -> Result:
         return result
     # What makes a fit: the same one over again does not spend its points twice.
     independent = _independent(result.features.points)
-    this_fit = _fit_of(result.record)
+    this_fit = _fit_of(result)
     shown_points = set[str]()
     names = set[str]()
     # Results next to each other are usually of the same data.
@@ -64,19 +63,18 @@ def with_spent(result: Result, folder: Path) -> Result:
             "already assessed another fit, in "
             f"{first_of(named)}. A fit that is chosen by them looks better than it is. Compare "
             "fits by selection points or by the predicted RMSE, or measure new selection points.")
-    return replace(result, notes=(*result.notes, note), accuracy=msgspec.structs.replace(
-        result.accuracy, spent_by=named,
-        spent=tuple(name for name in result.features.points.ids if name in shown_points)))
+    spent = tuple(name for name in result.features.points.ids if name in shown_points)
+    accuracy = structs.replace(result.accuracy, spent_by=named, spent=spent)
+    return result.with_(notes=(*result.notes, note), accuracy=accuracy)
 
 
 def _spent_before(record: Record) -> dict[str, tuple[str, ...]]:
     """Return the independent points that were spent for an earlier result, with those that did it.
     """
     accuracy = record.accuracy
-    if accuracy is None or not accuracy.spent_by:
+    if accuracy is None or not accuracy.spent or not accuracy.spent_by:
         return {}
-    ids = record.data.roles.independent if accuracy.spent is None else accuracy.spent
-    return dict.fromkeys(ids, accuracy.spent_by)
+    return dict.fromkeys(accuracy.spent, accuracy.spent_by)
 
 
 def _independent(points: Points) -> set[tuple[Any, ...]]:
@@ -96,6 +94,6 @@ def _fit_of(record: Record) -> tuple[Any, ...]:
     selection = record.selection
     if record.strategy is not None:
         # Auto fits to all control, so that its selection of features says nothing.
-        selection = msgspec.structs.replace(selection, features=(), n_features=0)
-    return (record.model, plain(selection), record.fit.estimator, record.fit.options,
+        selection = structs.replace(selection, features=(), n_features=0)
+    return (record.model, plain(selection), record.estimation.estimator, record.estimation.options,
             sorted(record.coefficients))

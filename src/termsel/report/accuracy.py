@@ -18,7 +18,7 @@ PREDICTED_BY = "predicted by cross-validation"
 
 def expected_of(record: Record) -> Predicted | None:
     """Return the RMSE predicted for the fit that is exported, if one is."""
-    return (record.final and record.final.predicted) or record.predicted
+    return (record.final_fit and record.final_fit.predicted) or record.predicted
 
 
 def predicted_first(record: Record) -> bool:

@@ -133,9 +133,10 @@ def _accuracy(record: Record) -> Iterator[Block]:
             f"Cross-validation repeated the whole choice in {strategy.folds} folds."
             if strategy.folds > MAX_EXACT_POINTS + 1 else
             "Cross-validation left out each point in turn from the chosen model.")
-    if record.final:
+    if record.final_fit:
         refitted = "features" if record.data.counts.lines else "points"
-        yield (f"Exported: the refit to all {len(record.final.features)} {refitted}. The measured "
+        count = len(record.final_fit.features)
+        yield (f"Exported: the refit to all {count} {refitted}. The measured "
                "accuracy refers to the fit without independent check points, which --no-final "
                "exports.")
 
@@ -176,7 +177,7 @@ def statement(record: Record) -> str:
 
 def _of_all(record: Record) -> bool:
     """Return whether the prediction is for the fit to all points."""
-    return record.final is not None and record.final.predicted is not None
+    return record.final_fit is not None and record.final_fit.predicted is not None
 
 
 def _measured(record: Record, accuracy: Accuracy) -> Iterator[str]:

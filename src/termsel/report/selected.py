@@ -81,7 +81,7 @@ def _search(record: Record) -> Iterator[Block]:
     yield (f"Selected: {share(selection.n_features, offered.n_features)} control features, "
            f"{share(selection.n_terms, offered.n_terms)} terms; "
            f"redundancy {record.adjustment.redundancy}{_iterated(record.adjustment)}")
-    if parameters := selection.parameters:  # not in older records
+    if parameters := selection.parameters:
         yield "Parameters: " + ", ".join(
             f"{name} {value:.6g}" if isinstance(value, float) else f"{name} {value}"
             for name, value in parameters.items())

@@ -41,8 +41,8 @@ def of_certificate(content: Mapping[str, Any]) -> str:
 def of_attributes(features: FeatureSet) -> str | None:
     """Return a checksum of the columns of attributes, None where there are none.
 
-    It is not part of `of_features`, so that earlier versions of termsel, which leave these columns
-    out, read results with attributes.
+    It is not part of `of_features`: results of the same control are told by that, whatever else its
+    files say of it.
     """
     # By name and value, points before lines, so that their order in a file does not matter.
     columns = []

@@ -2,13 +2,13 @@
 
 What is stored are the figures that cost time or depend on a choice: coefficients, their standard
 deviations, effective parameters, errors of features that were held out. The rest follows from them
-and the features in closed form. No estimator is run again, unless an earlier version of termsel
-wrote the record, which stored less.
+and the features in closed form: no estimator but least squares is run again.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -16,14 +16,41 @@ from termsel.adjustment.solve import Adjustment
 from termsel.auto import estimators
 from termsel.core.errors import TermselError
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points
-from termsel.data.record.figures import AdjustmentFigures
-from termsel.data.record.record import FitRecord
+from termsel.data.record.figures import AdjustmentFigures, Correlation, Predicted
+from termsel.data.record.record import FinalFit, FitRecord, Offered
 from termsel.data.scaling import Scaling
+from termsel.fitting.diagnosis import correlations, orientation_spread, significance
 from termsel.fitting.figures import finite_or_none, number
 from termsel.fitting.fit import Estimator, Fit, HeldOut
 from termsel.fitting.least_squares import LeastSquares
 from termsel.models.base import SensorModel
 from termsel.models.poles import guard_points, pole_margin, pole_violation
+
+
+def numbers_of(fitted: Fit) -> dict[str, Any]:
+    """Return the fields of a record that tell of the fit whose figures it has, by name."""
+    lines = fitted.control.take(fitted.used).lines
+    return {
+        "offered": Offered(len(fitted.model.terms), len(fitted.control)),
+        "coefficients": fitted.coefficients,
+        "standard_deviations": fitted.standard_deviations,
+        "estimation": fit_record(fitted),
+        "adjustment": adjustment_figures(
+            fitted, orientation_spread(lines) if len(lines) else None),
+        "significance": significance(fitted),
+        "correlations": tuple(Correlation((first, second), value)
+                              for first, second, value in correlations(fitted)),
+        "scaling": fitted.scaling.numbers()}
+
+
+def final_fit(final: Fit | None, predicted: Predicted | None) -> FinalFit | None:
+    """Return what a record holds of the fit to all points, and the RMSE predicted for it."""
+    if final is None:
+        return None
+    return FinalFit(
+        features=final.control.ids, scaling=final.scaling.numbers(),
+        coefficients=final.coefficients, standard_deviations=final.standard_deviations,
+        adjustment=adjustment_figures(final), fit=fit_record(final), predicted=predicted)
 
 
 def fit_record(fitted: Fit) -> FitRecord:
@@ -66,11 +93,11 @@ def fit_of_record(model: SensorModel, control: FeatureSet, scaling: Scaling, use
     model = model.prepared(scaling, control.crs)
     terms = np.array([name in coefficients for name in model.terms], dtype=bool)
     values = _by_term(model, coefficients, 0.0)
-    correlations = None
+    term_correlations = None
     if estimator.least_squares:
         iterated = getattr(estimator, "iterated", True)
         refit = LeastSquares(iterated).fit(model, control, scaling, terms, used)
-        correlations = refit.adjustment.correlations
+        term_correlations = refit.adjustment.correlations
     trace = how.effective
     held_out = None
     if how.held_out is not None:
@@ -83,17 +110,13 @@ def fit_of_record(model: SensorModel, control: FeatureSet, scaling: Scaling, use
         held_out = HeldOut.of(errors, in_use)
     if trace is None and not estimator.least_squares:
         trace = np.nan
-        if estimator.repeatable:  # a record of termsel 0.2 or earlier
-            repeated = estimator.fit(model, control, scaling, terms, used)
-            trace = repeated.trace
-            held_out = repeated.stored_held_out
     # The figures of the record, whatever the rounding of this machine.
     adjustment = Adjustment(
         coefficients=values,
         deviations=_by_term(model, deviations, 0.0 if estimator.least_squares else np.nan),
         n_terms=figures.terms, n_equations=figures.equations, rank=figures.rank,
         condition=np.inf if figures.condition is None else figures.condition,
-        sigma0=number(figures.sigma0) / scaling.image_scale, correlations=correlations,
+        sigma0=number(figures.sigma0) / scaling.image_scale, correlations=term_correlations,
         steps=figures.steps, converged=figures.converged is not False)
     return Fit(model, scaling, control, terms, used, adjustment, estimator=estimator, trace=trace,
                stored_held_out=held_out)

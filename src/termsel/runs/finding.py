@@ -9,8 +9,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from msgspec import convert
+
 from termsel.auto.compare import Comparison
+from termsel.data.record.base import plain
 from termsel.data.record.figures import Predicted
+from termsel.data.record.record import SCHEMA, Options, PluginRecord, Record
 from termsel.data.record.search import (
     Certificate,
     HistoryRow,
@@ -22,10 +26,10 @@ from termsel.data.record.search import (
 )
 from termsel.data.roles import Observations
 from termsel.fitting.accuracy import accuracy_of
-from termsel.fitting.diagnosis import diagnose
-from termsel.fitting.figures import Baseline, Rmses, figures, residuals_of
+from termsel.fitting.figures import Baseline, Rmses, figures, residuals_of, rmse_record
 from termsel.fitting.fit import Fit
 from termsel.results.result import Result
+from termsel.results.same_fit import final_fit, numbers_of
 from termsel.runs.provenance import data_of, versions
 from termsel.runs.request import Request
 from termsel.runs.verdict import Verdict
@@ -130,21 +134,26 @@ def result_of(request: Request, finding: Finding) -> Result:
         judgement = finding.judgement(figures(fitted, agreeing), finding.baselines(agreeing))
     else:
         judgement = finding.judgement(rmse, baselines)
-    return Result(
-        problem=request.recipe.name, model=fitted.model.name, solver=finding.solver,
-        criterion=finding.criterion, seed=finding.seed, options=finding.options,
-        data=data_of(request, observations), selection=finding.selection,
-        feasible=finding.feasible, rmse=rmse, baselines=baselines, judgement=judgement,
-        reference=finding.reference,
-        notes=finding.notes, objectives=finding.objectives, evaluations=finding.evaluations,
-        lookups=finding.lookups, generations=finding.generations, seconds=finding.seconds,
-        interrupted=finding.interrupted, polish=finding.polish, fit=fitted,
-        residuals=residuals_of(fitted, observations, outliers, check_used=finding.check_used),
-        diagnosis=diagnose(fitted), features=observations.features, versions=versions(),
-        front=finding.front, certificate=finding.certificate, strategy=finding.strategy,
-        outliers=outliers, blunder_test=finding.verdict.test, predicted=finding.predicted,
-        predicted_final=finding.predicted_final,
+    record = Record(
+        schema=SCHEMA, problem=request.recipe.name, model=fitted.model.name,
+        solver=finding.solver, criterion=finding.criterion, seed=finding.seed,
+        options=convert(plain(finding.options), Options), data=data_of(request, observations),
+        selection=finding.selection.record(), feasible=finding.feasible,
+        objectives=finding.objectives, rmse=rmse_record(rmse),
+        baselines=tuple(row.row() for row in baselines), judgement=judgement,
+        notes=finding.notes, reference=finding.reference, outliers=outliers,
+        blunder_test=finding.verdict.test, predicted=finding.predicted,
         accuracy=accuracy_of(fitted, observations.independent),
         accuracy_without=accuracy_of(fitted, agreeing.independent) if contradicting else None,
-        plugins=finding.plugins, final=finding.final, history=finding.history,
-        budget=finding.budget, by_size=finding.by_size, files=finding.files)
+        final_fit=final_fit(finding.final, finding.predicted_final),
+        exports="selection" if finding.final is None else "final",
+        front=finding.front, certificate=finding.certificate, strategy=finding.strategy,
+        evaluations=finding.evaluations, lookups=finding.lookups,
+        hit_rate=finding.lookups / max(finding.evaluations, 1),
+        generations=finding.generations, seconds=finding.seconds, history=finding.history,
+        budget=finding.budget, by_size=finding.by_size, interrupted=finding.interrupted,
+        polish=finding.polish, versions=versions(),
+        plugins=convert(plain(finding.plugins), dict[str, PluginRecord]), **numbers_of(fitted))
+    residuals = residuals_of(fitted, observations, outliers, check_used=finding.check_used)
+    return Result.of(record, fit=fitted, final=finding.final, features=observations.features,
+                     residuals=residuals, files=finding.files)

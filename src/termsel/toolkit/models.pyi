@@ -17,6 +17,7 @@ from termsel.data.monomials import monomial_name as monomial_name
 from termsel.data.monomials import monomials as monomials
 from termsel.data.record.figures import OnGround as OnGround
 from termsel.data.record.figures import Predicted as Predicted
+from termsel.data.record.figures import Rmse as Rmse
 from termsel.data.record.search import TermFrequencies as TermFrequencies
 from termsel.data.roles import ASSIGNABLE as ASSIGNABLE
 from termsel.data.twins import twins as twins
@@ -39,7 +40,6 @@ from termsel.fitting.pinhole import camera_of as camera_of
 from termsel.fitting.pinhole import cameras_of as cameras_of
 from termsel.fitting.pinhole import pinhole_of as pinhole_of
 from termsel.fitting.pinhole import rotations as rotations
-from termsel.fitting.residuals import Rmse as Rmse
 from termsel.fitting.scene import errors_on_ground as errors_on_ground
 from termsel.fitting.sky import ground_where_held as ground_where_held
 from termsel.fitting.sky import image_places as image_places

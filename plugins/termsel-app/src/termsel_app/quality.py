@@ -121,12 +121,11 @@ def written(features: FeatureSet, folder: Path) -> dict[str, Path]:
 def figures(result: Result) -> Answer:
     """Return what the page shows of a result: accuracy, model, blunders, and each feature's error.
     """
-    record = result.record
     strategy = result.strategy
     residuals = errors(result)
     return {
         "facts": [{"label": fact.label, "text": fact.text}
-                  for fact in charts.first_screen(record)],
+                  for fact in charts.first_screen(result)],
         "accuracy": accuracy(result),
         "why": strategy.reason if strategy is not None else "",
         "judgement": result.judgement,
@@ -143,10 +142,9 @@ def figures(result: Result) -> Answer:
 def accuracy(result: Result) -> Answer | None:
     """Return the surer of the predicted and the independent RMSE with its interval, px and metres.
     """
-    record = result.record
-    predicted = charts.expected_of(record)
+    predicted = charts.expected_of(result)
     # The same rule as on the first screen of a report.
-    if predicted is not None and charts.predicted_first(record):
+    if predicted is not None and charts.predicted_first(result):
         figure = (predicted.rmse, predicted.low, predicted.high)
         kind = "predicted by cross-validation"
         level = predicted.level
@@ -215,7 +213,7 @@ def prediction_errors(result: Result) -> dict[str, float]:
 
 def _fitted_to(result: Result) -> FeatureSet:
     """Return what a choice is fitted to as control, without blunders, which spoil predictions."""
-    ids = result.record.fit.features
+    ids = result.estimation.features
     if ids is None:  # there are no selection points
         return result.fit.control.take(np.asarray(result.fit.used))
     features = result.features.take(np.isin(result.features.ids, ids))

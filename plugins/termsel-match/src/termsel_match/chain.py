@@ -218,7 +218,7 @@ def model_for(start: Path | str | None, image: Path) -> tuple[str, dict[str, Any
     path = image if start is None else Path(start)
     # A result, which keeps its RPC as it was.
     if path.is_dir():
-        options = read_result(path).options["model"]
+        options = read_result(path).options.model
         return ("rpc-drift", {"rpc": options["rpc"]}) if "rpc" in options else ("affine", {})
     # A start of another kind, which match_points has read.
     with suppress(TermselError):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -154,7 +153,7 @@ def _write(repeated: Stability, outputs: tuple[Mapping[str, Path], Path | None],
                          model=run_settings.model, solver=_SOLVER, criterion=_CRITERION,
                          options=options)
     content = repeated.to_dict()
-    result = replace(fitted, stability=TermFrequencies(
+    result = fitted.with_(stability=TermFrequencies(
         content["repeats"], content["threshold"], content["frequency"]),
         # Both, or neither.
         files={**fitted.files, STABILITY: json_text(content)})

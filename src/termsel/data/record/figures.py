@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from math import sqrt
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import nan, sqrt
 from typing import Annotated, Literal
 
 from msgspec import UNSET, Meta, UnsetType, field
@@ -51,6 +53,22 @@ def rmse_interval(total: float, freedom: float) -> tuple[float, float]:
             total * sqrt(freedom / chi_squared_quantile(tail, freedom)))
 
 
+@dataclass(frozen=True)
+class Rmse:
+    """Root mean square errors [px] over n features.
+
+    `total` is sqrt(mean(dl^2 + ds^2)) over points. For control lines the error is the
+    distance of each projected ground vertex from the image line, taken along its normal.
+    """
+
+    line: float
+    sample: float
+    total: float
+    n: int
+    freedom: float | None = None
+    """Degrees of freedom of the squared errors, by `freedom_of`; None if not known."""
+
+
 class RoleRmse(RecordPart, frozen=True):
     """RMSE over the features of one role [px]; null where there are none."""
 
@@ -90,6 +108,25 @@ class RmseByRole(RecordPart, frozen=True):
         of_roles = {"control": self.control, "check": self.check, "independent": self.independent}
         return of_roles if self.leave_one_out is None else {
             **of_roles, "leave-one-out": self.leave_one_out}
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.by_role)
+
+    def __getitem__(self, role: str) -> Rmse | None:
+        """Return the RMSE of a role, or that by "leave-one-out"; None where it has no features.
+
+        Raises
+        ------
+        KeyError
+            If there is no such role.
+        """
+        rmse = self.by_role[role]
+        if not rmse.n:
+            return None
+        # The file has null for what is not finite.
+        line, sample, total = (nan if value is None else value
+                               for value in (rmse.line, rmse.sample, rmse.total))
+        return Rmse(line, sample, total, rmse.n, rmse.freedom)
 
 
 class BaselineRow(RecordPart, frozen=True):
@@ -227,17 +264,13 @@ class Accuracy(RecordPart, frozen=True):
     """Folders of earlier results that showed errors of these points under another fit; absent where
     none did."""
     spent: Names | None = None
-    """Ids of the points that these showed; absent where `spent_by` is, and before 0.4, when it was
-    not recorded which they are."""
+    """Ids of the points that these showed; absent where `spent_by` is."""
 
     @property
     def spent_count(self) -> int:
         """Number of points whose errors an earlier result showed under another fit."""
-        # No folder is known, or none has shown them.
-        if not self.spent_by:
-            return 0
-        # Records before 0.4 do not say which points: all count as seen.
-        return self.image.n if self.spent is None else min(len(self.spent), self.image.n)
+        # A point without a finite error is not among the n.
+        return min(len(self.spent or ()), self.image.n)
 
 
 class Significance(RecordPart, frozen=True):

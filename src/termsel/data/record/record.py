@@ -258,7 +258,7 @@ class FinalFit(RecordPart, frozen=True):
     """As the key `fit`."""
     predicted: Predicted | None = None
     """RMSE predicted for this fit: that of the key `predicted`, less what the independent points
-    add by their places; null where none is, absent before 0.4."""
+    add by their places; null where none is."""
 
 
 class PluginRecord(RecordPart, frozen=True):
@@ -280,12 +280,15 @@ class Checksums(RecordPart, frozen=True):
     features: Checksum
     """Of the features in the folder."""
     attributes: Checksum | None = None
-    """Of the further columns of their files, if there are any; earlier versions of termsel leave
-    them out."""
+    """Of the further columns of their files, if there are any."""
 
 
 class Record(RecordPart, frozen=True, kw_only=True):
-    """The content of result.json."""
+    """The content of result.json.
+
+    `Result` is a record, and holds the fits that it is of as `fit` and `final`. What the file has
+    under these names are numbers of theirs, and has other names here.
+    """
 
     schema: Literal["termsel-result-1"]
     """Name and version of this layout."""
@@ -321,7 +324,7 @@ class Record(RecordPart, frozen=True, kw_only=True):
     """Further sentences of the report."""
     reference: str = ""
     """Name of the baseline that the judgement compares with: the automatic choice without a search,
-    or of that choice the best conventional model; empty if there is none, and before 0.4."""
+    or of that choice the best conventional model; empty if there is none."""
     outliers: tuple[Outlier, ...]
     """The outlier test: every feature that contradicts all others, used or not."""
     blunder_test: BlunderTest | None = None
@@ -332,13 +335,13 @@ class Record(RecordPart, frozen=True, kw_only=True):
     """Accuracy on the independent points, or null."""
     accuracy_without: Accuracy | None = None
     """Accuracy without the independent points among the outliers; absent where there are none."""
-    final: FinalFit | None
+    final_fit: FinalFit | None = field(name="final")
     """The chosen structure fitted to all points, independent ones included, or null. The figures of
     the record are those of the fit without them."""
     shared_sigma: tuple[Size, Size] | None = None
     """Standard deviations of line and sample [px] that all places have in common and the control
     does not show, such as what the ties of a block share; absent where nothing is known of any."""
-    exported: Literal["final", "selection"]
+    exports: Literal["final", "selection"] = field(name="exported")
     """The fit that is exported unless another is asked for: `final`, or `selection`, that of the
     record's figures."""
     front: tuple[Member, ...]
@@ -376,7 +379,7 @@ class Record(RecordPart, frozen=True, kw_only=True):
     """Coefficients by term, in scaled coordinates."""
     standard_deviations: Mapping[str, float | None]
     """Standard deviations of the coefficients by term; null where they are not determined."""
-    fit: FitRecord
+    estimation: FitRecord = field(name="fit")
     """How the coefficients were found."""
     adjustment: AdjustmentFigures
     """Figures of the least-squares adjustment."""

@@ -33,7 +33,7 @@ class SelectionRecord(RecordPart, frozen=True):
     """Their number."""
     n_features: Count
     """Their number."""
-    parameters: Mapping[str, float | int | str | bool] | UnsetType = UNSET
+    parameters: Mapping[str, float | int | str | bool]
     """Values found for options of the model, and others of the problem, by name."""
 
 

@@ -6,7 +6,7 @@ import logging
 import math
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Final
 
@@ -17,8 +17,8 @@ from termsel.core.errors import TermselError
 from termsel.core.files.atomic import private_folder
 from termsel.core.threads import one_blas_thread
 from termsel.data.features import BoolArray, FeatureSet
+from termsel.data.record.figures import Rmse
 from termsel.fitting.figures import finite_or_none
-from termsel.fitting.residuals import Rmse
 from termsel.io.accuracy_tags import prediction_of
 from termsel.io.export import export, writer_of
 from termsel.io.result_folder import write_result
@@ -248,7 +248,7 @@ def _auto(cell: Cell, features: FeatureSet, trace: _Trace) -> tuple[
             raise KeyboardInterrupt
         warnings = [warning for warning in cell.data.warnings if warning not in result.notes]
         if warnings:  # of reading the file, which the run knows nothing of
-            result = replace(result, notes=(*result.notes, *warnings))
+            result = result.with_(notes=(*result.notes, *warnings))
             write_result(result, result_folder)
         for to in cell.call["exports"]:
             # The model in every format the study asks for, next to result.json.
@@ -285,7 +285,8 @@ def _figures_of(result: Result) -> dict[str, Any]:
         pixel = on_ground.total / max(result.accuracy.image.total, 1e-12)
     excluded = sum(outlier.excluded for outlier in result.outliers)
     return {
-        "chosen": result.strategy and result.strategy.chosen, **_rmse(result.rmse),
+        "chosen": result.strategy and result.strategy.chosen,
+        **_rmse({role: result.rmse[role] for role in result.rmse}),
         "predicted": predicted and finite_or_none(predicted.rmse),
         "predicted_low": predicted and finite_or_none(predicted.low),
         "predicted_high": predicted and finite_or_none(predicted.high),

@@ -182,7 +182,7 @@ def image_result(result: BlockResult, i: int, record: BlockRecord) -> Result:
             "block.")
     # What the block's covariance says more than the image's own fit does.
     shared = shared_sigma(result, i, features, fitted.sigma(features.points.ground))
-    return replace(fitted, notes=(note, *fitted.notes), shared_sigma=shared,
+    return fitted.with_(notes=(note, *fitted.notes), shared_sigma=shared,
                    predicted=Predicted(image_record.predicted, image_record.low, image_record.high,
                                        pixel=pixel_on_ground(fitted.fit)))
 

@@ -266,7 +266,7 @@ def with_lines(selected: Selected, lines: FeatureSet, *, seed: int = 1,
 
 def _told(result: Result, folder: Path | str | None) -> Result:
     """Return a result with the note on what its independent figures are of, also in its folder."""
-    noted = replace(result, notes=(*result.notes, AGREEING))
+    noted = result.with_(notes=(*result.notes, AGREEING))
     if folder is not None:
         write_result(noted, Path(folder))
     return noted

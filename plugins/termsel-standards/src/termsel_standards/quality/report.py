@@ -150,16 +150,16 @@ def quality_of(result: Result, title: str = "", organisation: str = "",
     settings = {"problem": result.problem, "model": result.model, "solver": result.solver,
                 "criterion": result.criterion, "seed": str(result.seed),
                 "terms": " ".join(terms.terms),
-                **{f"options of the {name}": json.dumps(plain(value), sort_keys=True)
-                   for name, value in result.options.items() if value}}
+                **{f"options of the {name}": json.dumps(value, sort_keys=True)
+                   for name, value in plain(result.options).items() if value}}
     sources = [Source(result.data.source,
                       "GCP observations; the checksum is that of ids, coordinates, roles, "
                       "standard deviations and CRS as read", result.data.sha256)]
     if image is not None:
         sources.append(Source(_shown(image), "the image", file_sha256(Path(image))))
     software = dict(result.versions)
-    for versions_of_kind in result.plugins.values():
-        software |= versions_of_kind
+    for plugin in result.plugins.values():
+        software[plugin.name] = plugin.version
     prediction = prediction_of(result) if result.accuracy is None else None
     method = "Positions that the model computes for independent points are compared with their " \
              "surveyed positions, at the surveyed heights. No choice has used these points."
