@@ -283,6 +283,21 @@ def test_auto_fits_in_a_polar_projection_around_a_pole(
     assert np.abs(predicted - features.points.image).max() < 0.01
 
 
+@pytest.mark.parametrize("blunder", [False, True])
+def test_around_a_pole_blunders_are_looked_for_in_the_polar_projection(*, blunder: bool) -> None:
+    # A strip across the pole: next to it a degree of longitude is a few hundred metres.
+    plan = np.array([(x, y) for y in range(16) for x in (-1, 0, 1)]) * [200_000.0, 160_000.0]
+    turn = pyproj.Transformer.from_crs("EPSG:3031", "EPSG:4326", always_xy=True)
+    lon, lat = turn.transform(*(plan - [0.0, 1_120_000.0]).T)
+    noise = np.random.default_rng(1).normal(0.0, 0.3, (48, 2))
+    image = plan @ np.array([[0.0, 0.0025], [-0.0025, 0.0]]) + noise
+    image[20] += 40.0 * blunder
+    points = Points(tuple(map(str, range(48))), image,
+                    np.column_stack([lon, lat, np.full(48, np.nan)]))
+    result = termsel.run(features=FeatureSet(points, crs="EPSG:4326"))
+    assert [outlier.id for outlier in result.outliers] == ["20"] * blunder
+
+
 def test_the_search_for_a_crs_leaves_out_what_does_not_hold_there() -> None:
     features = around_pole("EPSG:3031", (600_000.0, 300_000.0))  # without a zone of UTM
     result = termsel.run(features=features, options={"fit_crs": "auto"})

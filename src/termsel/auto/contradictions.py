@@ -20,6 +20,9 @@ from termsel.adjustment.lines import row_weights
 from termsel.auto.local import FIELD_CALLED_FOR
 from termsel.auto.rule import PRIOR_MARGIN
 from termsel.auto.validated import gain_of
+from termsel.data.coordinates.crs import is_geographic
+from termsel.data.coordinates.longitudes import continuous
+from termsel.data.coordinates.utm import is_polar
 from termsel.data.features import BoolArray, FloatArray, IntArray
 from termsel.data.fit_data import FitData
 from termsel.data.monomials import monomials
@@ -96,13 +99,23 @@ class Division:
     def in_use(self) -> FitData:
         """The features in use, with the scaling that all are predicted in.
 
-        Points are tested in their own coordinates, whatever those of the fit.
+        Points are tested in their own coordinates, whatever those of the fit, but around a pole,
+        where degrees are no plane coordinates.
         """
         features = self.all_features.features
         # Lines are straight in the CRS of the fit only.
-        if not features.fit_crs or len(features.lines):
+        if not features.fit_crs or len(features.lines) or self._around_pole:
             return self.all_features.take(self.used)
         return FitData.of(replace(features, fit_crs="").take(self.used), self.all_features.heights)
+
+    @cached_property
+    def _around_pole(self) -> bool:
+        """Whether the points are in degrees around a pole."""
+        features = self.all_features.features
+        if not is_geographic(features.crs):
+            return False
+        ground = features.points.ground
+        return is_polar(np.column_stack([continuous(ground[:, 0]), ground[:, 1]]))
 
     @property
     def _gaussian_process(self) -> GaussianProcess | None:

@@ -68,7 +68,7 @@ def lattice_of(record: Record) -> tuple[int, int] | None:
 
 
 def are_computed(record: Record) -> bool:
-    """Return whether the model predicts held-out points to within closer than anyone measures."""
+    """Return whether the model predicts held-out points more closely than anyone measures."""
     # Of simulated data the noise is known, and may be none.
     if record.data.noise is not None or lattice_of(record) is not None:
         return False
@@ -83,8 +83,8 @@ def agreement_of_computed(record: Record) -> str:
     """Return that a model meets points that were computed, and that this is no accuracy."""
     expected = expected_of(record)
     size = record.accuracy.image.total if record.accuracy else expected.rmse if expected else 0.0
-    agreement = f"to {rounded(size)} px" if size >= _ROUNDING_PX else "to rounding"
-    return (f"the model predicts held-out points to within {agreement}, closer than anyone "
+    agreement = f"within {rounded(size)} px" if size >= _ROUNDING_PX else "to rounding"
+    return (f"the model predicts held-out points {agreement}, closer than anyone "
             "measures. "
             "They were computed, or one column is a copy of another: nothing tells the accuracy")
 
