@@ -108,5 +108,5 @@ def test_a_run_says_so_first() -> None:
     features = moved(points(24, height=False), (63.0, -2.0), slice(0, 24, 3))
     result = termsel.run(features=features)
     said = " ".join(result.summary().split())
-    assert "Caution check the datum of the points" in said
+    assert "Caution check the datum of the points: 8 of 24 points lie 6" in said
     assert any("Coordinates in NAD27 are as far off there." in note for note in result.notes)

@@ -127,7 +127,11 @@ def test_every_map_and_export_with_the_image_refuses_lines_before_it(tmp_path: P
     for writer in ("rpc-vrt", "rpb", "gcp-vrt", "geolocation-vrt", "gcp-grid-vrt"):
         with pytest.raises(termsel.TermselError, match="before the first pixel of the image"):
             termsel.export(result, writer, tmp_path / "scene.vrt", image=str(sheet))
+    # A format without the image is of it, too, where it is named.
+    with pytest.raises(termsel.TermselError, match="before the first pixel of the image"):
+        termsel.export(result, "world-file", tmp_path / "scene.tfw", image=str(sheet))
     assert not (tmp_path / "map.tif").exists()
+    assert not (tmp_path / "scene.tfw").exists()
 
 
 @pytest.mark.parametrize(("line", "sample"), [(LINES + 40, 10), (10, SAMPLES + 40), (-40, 10)])
@@ -140,6 +144,8 @@ def test_a_run_with_the_image_refuses_points_beyond_it_as_exports_do(
     done = CliRunner().invoke(cli, ["run", "--points", str(path), "--image", str(image(tmp_path))])
     assert done.exit_code == 2
     assert "features extend to" in done.stderr
+    assert ": far. " in done.stderr
+    assert ("image_origin=y-up" in done.stderr) == (line < 0)
     header, columns, *rows = path.read_text().splitlines()
     roles = ["off" if row.startswith("far") else "" for row in rows]
     path.write_text("\n".join([header, f"{columns},role", *(

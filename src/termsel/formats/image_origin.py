@@ -10,7 +10,7 @@ import numpy as np
 
 from termsel.core.errors import TermselError
 from termsel.core.options import Option
-from termsel.data.features import FeatureSet, FloatArray
+from termsel.data.features import BoolArray, FeatureSet, FloatArray
 from termsel.data.rasters import open_raster
 
 log = logging.getLogger(__name__)
@@ -20,6 +20,9 @@ CORNER = "corner"
 
 EDGE_MARGIN = 5.0
 """How far a feature may lie beyond the edge of the image it was measured in [px]."""
+
+MAX_NAMED = 5
+"""Features outside the image that are named; of more it is another image."""
 
 _ORIGIN_WORDS = {
     TOP: "the centre of the upper-left pixel, lines downwards",
@@ -128,22 +131,34 @@ def require_inside(features: FeatureSet, size: tuple[int, int] | None,
     take no part.
     """
     off = np.array([role == "off" for role in features.points.roles], dtype=bool)
-    positions = features.with_(points=features.points.take(~off)).image_vertices()
+    features = features.with_(points=features.points.take(~off))
+    positions = features.image_vertices()
     if not len(positions):
         return
     first = positions.min(axis=0)
     last = positions.max(axis=0)
+    before = positions < -0.5 - EDGE_MARGIN
     if size is not None and (last > np.array(size) - 0.5 + EDGE_MARGIN).any():
-        raise other_image(size, f"but features extend to line {last[0]:g} and sample {last[1]:g}",
-                          image)
-    if (first < -0.5 - EDGE_MARGIN).any():
+        beyond = positions > np.array(size) - 0.5 + EDGE_MARGIN
+        raise other_image(size, f"but features extend to line {last[0]:g} and sample {last[1]:g}"
+                          f"{_few_outside(features, beyond)}", image)
+    if before.any():
+        remedy = "or take the image in which the features were measured."
+        if before[:, 0].any():
+            remedy = f"run again with --set image_origin=y-up or bottom-left, {remedy}"
         raise TermselError(
             f"features extend to line {first[0]:g} and sample {first[1]:g}, before the first "
-            "pixel "
-            "of the image", file=image,
-            hint="Lines are counted downwards from the upper-left pixel: run again with --set "
-                 "image_origin=y-up or bottom-left, or take the image in which the features were "
-                 "measured.")
+            f"pixel of the image{_few_outside(features, before)}", file=image,
+            hint="Lines are counted downwards and samples to the right from the upper-left pixel: "
+                 f"correct them, {remedy}")
+
+
+def _few_outside(features: FeatureSet, outside: BoolArray) -> str:
+    """Return the ids of the features that are outside, if only a few are: a slip of the pen."""
+    n = len(features.points)
+    feature_of_vertex = np.concatenate([np.arange(n), n + np.repeat(features.lines.feature, 2)])
+    ids = [features.ids[i] for i in np.unique(feature_of_vertex[outside.any(axis=1)])]
+    return f": {', '.join(ids)}" if len(ids) <= min(MAX_NAMED, len(features) // 3) else ""
 
 
 def other_image(size: tuple[int, int], reason: str, image: Path | str | None) -> TermselError:

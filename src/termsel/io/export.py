@@ -10,6 +10,7 @@ from termsel.core.display.quiet import quieted
 from termsel.core.errors import TermselError
 from termsel.core.files.atomic import private_folder
 from termsel.core.files.names import is_there, refuse_link
+from termsel.formats.vrt import picture_for
 from termsel.io.replacing import require_replaceable
 from termsel.plugins.registry import registry
 
@@ -104,7 +105,11 @@ def export(result: Result, to: str, path: Path | str, *, overwrite: bool = False
     path = Path(path)
     result = as_exported(result, final)
     writer = writer_of(to, **options)
-    for key in sorted(options.keys() & _of_others(type(writer))):
+    ignored = sorted(options.keys() & _of_others(type(writer)))
+    if "image" in ignored and options["image"] is not None:
+        # Another image than that of the features is refused whatever the format.
+        picture_for(result, options["image"])
+    for key in ignored:
         log.info("Note: the format %s has no option %s, which is ignored.", to, key)
     if not writer.accepts(result):
         suitable = ", ".join(entry.name for entry in registry().entries("writers")

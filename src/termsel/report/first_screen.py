@@ -449,8 +449,20 @@ def _warnings(record: Record) -> list[str]:
     """Return what is urgent, then each note that nothing above it says."""
     accuracy = record.accuracy
     reused = accuracy is not None and bool(reused_points(accuracy))
+    heights = _on_heights(record)
     return [*_urgent(record), *(note for note in record.notes if note and not _is_shown(note)
+                                and note != heights
                                 and not (reused and " no longer independent: " in note))]
+
+
+def _on_heights(record: Record) -> str:
+    """Return that the heights of the DEM are not those of the control, or ""."""
+    doubt = record.data.read.height_doubt if record.data.read else ""
+    if not doubt:
+        return ""
+    # A note says the same, and what it does to a map in px.
+    opening = doubt.partition("; ")[0]
+    return next((note for note in record.notes if note.startswith(opening)), doubt)
 
 
 def _cautions(warnings: Sequence[str], room: int) -> Iterator[Fact]:
@@ -506,11 +518,13 @@ def _urgent(record: Record) -> Iterator[str]:
     if read and read.mixed:
         doubt = f"{read.mixed[:1].lower()}{read.mixed[1:]}"
         yield f"correct the coordinates first: {_first_sentence(doubt)}"
-    if read and read.height_doubt:
-        doubt = f"{read.height_doubt[:1].lower()}{read.height_doubt[1:]}"
-        yield f"check what heights refer to: {doubt}"
+    if heights := _on_heights(record):
+        # Without the name of the raster and how the difference was found it fits into a line.
+        difference, _, found_by = heights.rpartition(" (median of ")
+        yield f"the DEM {difference[difference.rindex(' is ') + 1:]}{found_by.partition(')')[2]}"
     if read and read.two_groups:
-        yield f"check the datum of the points: {read.two_groups}"
+        shift = read.two_groups.partition(", as if")[0]
+        yield f"check the datum of the points: {shift}"
     if record.interrupted:
         yield "the run was interrupted; run it again to its end"
 

@@ -139,13 +139,13 @@ def _unlike_any_view(pool: FitData, exchange: Exchange,
 def _on_exchange(features: FeatureSet, exchange: Exchange) -> str:
     """Return what tells that points are wrong, and which."""
     ids = [features.ids[i] for i in exchange.points]
-    opening = "No view of a plane reverses some triangles of points and others not, as these do"
+    reason = "no view of a plane reverses some triangles of points and others not, as these do"
     if exchange.is_pair:
-        return (f"{opening}. {ids[0]} and {ids[1]} are likely exchanged: with the image place of "
+        return (f"{ids[0]} and {ids[1]} are likely exchanged: {reason}. With the image place of "
                 "each at the other one, all triangles agree. Exchange them, and run again.")
     if len(ids) == 1:
-        return f"{opening}, but for {ids[0]}: look at it in the image."
-    return (f"{opening}. At least one of {', '.join(ids)} is wrong, or two are exchanged: look at "
+        return f"{ids[0]} is likely wrong: {reason}, but for it. Look at it in the image."
+    return (f"At least one of {', '.join(ids)} is wrong, or two are exchanged: {reason}. Look at "
             "them in the image.")
 
 
