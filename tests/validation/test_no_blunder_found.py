@@ -62,8 +62,11 @@ def test_points_of_which_a_third_is_wrong_are_not_called_free_of_blunders(
     assert line_on_blunders(termsel.run(features=photograph(count, wrong))) == said
 
 
-def test_points_that_agree_with_no_model_are_not_called_free_of_blunders() -> None:
-    said = line_on_blunders(termsel.run(features=photograph(30, noise=90.0)))
+@pytest.mark.parametrize(("count", "noise"), [(30, 90.0), (14, 900.0)])
+def test_points_that_agree_with_no_model_are_not_called_free_of_blunders(
+        count: int, noise: float) -> None:
+    # Not "too few" either: where all errors are large, only one beyond the image would stand out.
+    said = line_on_blunders(termsel.run(features=photograph(count, noise=noise)))
     assert said.startswith("not detectable: no model fits these points")
 
 

@@ -21,7 +21,7 @@ from termsel.data.record.record import Record, WhatWasRead
 from termsel.report.accuracy import accuracy_lines, lattice_of, reused_points
 from termsel.report.blocks import Fact
 from termsel.report.compared import label_of
-from termsel.report.verdict import off_option
+from termsel.report.verdict import off_option, size_of_errors, too_few_to_test
 
 SCREEN_LINES = 12
 """Lines of the first screen, the command that comes last included."""
@@ -280,27 +280,17 @@ def _none_detected(record: Record) -> str:
     if test is None:
         return "not tested"
     features = counted(test.features, record.data.counts.word.removesuffix("s"))
-    # An error that could not be larger than the image cannot be found.
-    if test.limit is None or test.limit > test.extent:
+    errors = size_of_errors(record)
+    if test.limit is None or too_few_to_test(test, errors):
         return f"not detectable: {features} {'is' if test.features == 1 else 'are'} too few"
     # Where nothing fits, everything is an outlier, and the test finds none.
-    if _size_of_errors(record) > _NO_FIT * test.extent:
+    if errors > _NO_FIT * test.extent:
         return (f"not detectable: no model fits these {record.data.counts.word}; several are "
                 "wrong, or no model is suitable")
     if test.limit > _BLUNT * test.extent:
         return (f"none found among {features}; below {rounded(test.limit)} px most cannot be "
                 "detected")
     return f"none among {features}"
-
-
-def _size_of_errors(record: Record) -> float:
-    """Return the RMSE that features which took no part have, or are predicted to have [px]."""
-    sizes = []
-    if record.predicted:
-        sizes.append(record.predicted.rmse)
-    if record.accuracy:
-        sizes.append(record.accuracy.image.total)
-    return min(sizes, default=0.0)
 
 
 def _grouped(record: Record) -> tuple[list[Outlier], list[Outlier], list[Outlier]]:

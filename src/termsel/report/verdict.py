@@ -14,6 +14,9 @@ from termsel.report.compared import ROLE_WORDS
 CERTAINTY = {"certain": "blunder", "probable": "probable blunder", "possible": "possible blunder"}
 """What a feature is called that contradicts all others."""
 
+TESTABLE_RATIO = 10.0
+"""Least error that a test of enough features finds, by the size of their errors, at most."""
+
 
 def off_option(record: Record) -> str:
     """Return the option that leaves out blunders in use, independent ones too; "" for none."""
@@ -29,12 +32,34 @@ def contradicting(record: Record) -> str:
     return wrong[0] if len(wrong) == 1 else f"{len(wrong)} outliers among them"
 
 
-def _none_detected(test: BlunderTest | None) -> str:
-    """Return that no outlier was detected, and how large one may be."""
+def size_of_errors(record: Record) -> float:
+    """Return the RMSE that features which took no part have, or are predicted to have [px]."""
+    sizes = []
+    if record.predicted:
+        sizes.append(record.predicted.rmse)
+    if record.accuracy:
+        sizes.append(record.accuracy.image.total)
+    return min(sizes, default=0.0)
+
+
+def too_few_to_test(test: BlunderTest, errors: float) -> bool:
+    """Return whether features are too few for a test, given the size of their errors [px].
+
+    Then an error that could be found is larger than the image, and not because all errors are
+    large.
+    """
+    return test.limit is None or test.limit > max(test.extent, TESTABLE_RATIO * errors)
+
+
+def _none_detected(test: BlunderTest | None, errors: float) -> str:
+    """Return that no outlier was detected, and how large one may be, given the size of errors."""
     if test is None:
         return "Outliers were not tested."
-    if test.limit is None or test.limit > test.extent:
+    if test.limit is None or too_few_to_test(test, errors):
         return f"No outlier can be detected: {test.features} features are too few."
+    if test.limit > test.extent:
+        return ("No outlier can be detected: no model fits these features. Several are wrong, or "
+                "no model is suitable.")
     return (f"No outliers detected. At half of the {test.features} features, an error must exceed "
             f"{rounded(test.limit)} px to be detected.")
 
@@ -56,7 +81,7 @@ def verdict_table(record: Record) -> Iterator[Block]:
     else:
         yield "Outliers were tested in an earlier run, not here." \
             if record.options.data.get("tested") else \
-            _none_detected(record.blunder_test)
+            _none_detected(record.blunder_test, size_of_errors(record))
     certainties = {outlier.certainty for outlier in outliers}
     if "probable" in certainties:
         yield "A probable blunder is more likely wrong than right: look at it in the image."
