@@ -106,7 +106,7 @@ def export(result: Result, to: str, path: Path | str, *, overwrite: bool = False
     result = as_exported(result, final)
     writer = writer_of(to, **options)
     ignored = sorted(options.keys() & _of_others(type(writer)))
-    if "image" in ignored and options["image"] is not None:
+    if "image" in ignored and options["image"] and Path(options["image"]).is_file():
         # Another image than that of the features is refused whatever the format.
         picture_for(result, options["image"])
     for key in ignored:
