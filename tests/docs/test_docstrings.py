@@ -12,9 +12,8 @@ import pytest
 import termsel
 from termsel.results.result import Result
 
-WITH_EXAMPLES = [name for name in termsel.__all__
-                 if "\nExamples\n----" in (inspect.getdoc(getattr(termsel, name)) or "")]
 FUNCTIONS = [name for name in termsel.__all__ if inspect.isfunction(getattr(termsel, name))]
+CLASSES = [name for name in termsel.__all__ if inspect.isclass(getattr(termsel, name))]
 
 
 def _sections(thing: object) -> set[str]:
@@ -29,6 +28,11 @@ def test_a_public_function_has_returns_and_an_example(name: str) -> None:
     assert "Examples" in sections
 
 
+@pytest.mark.parametrize("name", CLASSES)
+def test_a_public_class_has_an_example(name: str) -> None:
+    assert "Examples" in _sections(getattr(termsel, name))
+
+
 def test_a_result_documents_attributes() -> None:
     assert {"Attributes", "Examples"} <= _sections(Result)
     assert "Parameters" not in _sections(Result)
@@ -36,7 +40,7 @@ def test_a_result_documents_attributes() -> None:
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("name", WITH_EXAMPLES)
+@pytest.mark.parametrize("name", [*FUNCTIONS, *CLASSES])
 def test_examples_show_what_is_printed(name: str, tmp_path: Path,
                                        monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)

@@ -79,6 +79,14 @@ class Auto(Method):
         `Method.max_features`.
     hopeless : frozenset of str
         Names of methods that are not tried on parts of the features.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> auto = termsel.Auto()
+    >>> fitted = auto.fit(termsel.FitData.of(termsel.simulate_scene("spot-isfahan")))
+    >>> fitted.method.name in {method.name for method in auto.methods}
+    True
     """
 
     name: str = "auto"

@@ -31,6 +31,13 @@ class Memory:
     ----------
     max_answers : int
         How many answers are kept, the last used.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> memory = termsel.Memory(max_answers=4)
+    >>> termsel.Auto(memory=memory).memory is memory
+    True
     """
 
     max_answers: int = MAX_ANSWERS

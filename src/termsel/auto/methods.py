@@ -50,6 +50,14 @@ class Structure(Method):
         As for `Method`, whose other parameters follow by name.
     with_heights, without : SensorModel or None
         The model for features with heights that differ, and for others; None if there is none.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> cubic = termsel.Structure("my-cubic", "a cubic polynomial", termsel.Polynomial3D(degree=3),
+    ...                           termsel.Polynomial2D(degree=3))
+    >>> cubic.title
+    'a cubic polynomial'
     """
 
     with_heights: SensorModel | None

@@ -56,6 +56,13 @@ class FitData:
         That of these features.
     heights : bool
         Whether models with heights are fitted; else plane ones.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> data = termsel.FitData.of(termsel.simulate_scene("spot-isfahan"))
+    >>> len(data), data.heights
+    (35, True)
     """
 
     features: FeatureSet

@@ -54,6 +54,16 @@ class Rpc:
     -----
     NGA STDI-0002-1, appendix E, "RPC00B". Evaluated as in GDAL: longitudes that differ by a
     full turn are the same.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> one = (1.0,) + 19 * (0.0,)
+    >>> line, sample = (0.0, 0.0, 1.0) + 17 * (0.0,), (0.0, 1.0) + 18 * (0.0,)
+    >>> rpc = termsel.Rpc((500.0, 500.0), (500.0, 500.0), (11.0, 46.0, 300.0), (0.1, 0.1, 300.0),
+    ...                   line, one, sample, one)
+    >>> rpc.project([[11.1, 46.0, 300.0]])  # line and sample [px]
+    array([[ 500., 1000.]])
     """
 
     image_offset: tuple[float, float]

@@ -46,6 +46,13 @@ class Scaling:
         empty.
     x_turn : float
         360 where X is a longitude [deg], which is the same after a full turn; else 0.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> scaling = termsel.FitData.of(termsel.simulate_scene("spot-isfahan")).scaling
+    >>> scaling.ground([scaling.ground_offset])  # the middle of the control
+    array([[0., 0., 0.]])
     """
 
     ground_offset: tuple[float, float, float]

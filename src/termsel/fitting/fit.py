@@ -36,11 +36,32 @@ MISFIT_BATCH = 2000
 
 
 class Undetermined(TermselError):
-    """The control does not determine the terms of a model."""
+    """The control does not determine the terms of a model.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> points = termsel.simulate_scene("spot-isfahan").points.take([0, 1])
+    >>> try:
+    ...     termsel.fit(termsel.FeatureSet(points=points, crs="EPSG:4979"), "affine")
+    ... except termsel.TermselError as error:
+    ...     print(type(error).__name__)
+    Undetermined
+    """
 
 
 class Estimator(ABC):
-    """How terms and coefficients are found from control: by least squares, by shrinkage ..."""
+    """How terms and coefficients are found from control: by least squares, by shrinkage ...
+
+    Examples
+    --------
+    >>> import termsel
+    >>> fitted = termsel.fit(termsel.simulate_scene("spot-isfahan"), "affine")
+    >>> isinstance(fitted.estimator, termsel.Estimator)
+    True
+    >>> fitted.estimator.held_out(fitted).squares.shape  # of each control point left out [px^2]
+    (12,)
+    """
 
     name: ClassVar[str]
     """Name in the record of a run."""
@@ -174,6 +195,13 @@ class HeldOut:
     errors : ndarray, shape (m, 2), optional
         Measured minus predicted [px], as of `FeatureSet.ground_vertices`; None where an estimator
         finds their squares alone.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> fitted = termsel.fit(termsel.simulate_scene("spot-isfahan"), "affine")
+    >>> fitted.held_out().squares.shape == (len(fitted.control.points),)
+    True
     """
 
     squares: FloatArray

@@ -31,6 +31,17 @@ class Suspects:
         it [px].
     limits : ndarray, shape (n,)
         Error that would be named at each feature [px].
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import termsel
+    >>> blunders = np.array([False, True])
+    >>> none = np.array([False, False])
+    >>> suspects = termsel.Suspects(blunders, probable=none, undecided=none,
+    ...                             errors=np.array([0.4, 30.0]), limits=np.array([2.0, 2.0]))
+    >>> suspects.errors[suspects.blunders]
+    array([30.])
     """
 
     blunders: BoolArray
@@ -91,6 +102,17 @@ class Method(ABC):
     max_features : float
         Number of features up to which it is tried: more tell as much as what it knows. Where the
         choice is repeated without some features, the number of all of them counts.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> class Plane(termsel.Method):
+    ...     "An affine polynomial, whatever the features."
+    ...
+    ...     def fit(self, data):
+    ...         return termsel.fit(data.features, "affine")
+    >>> Plane("plane", "an affine polynomial").title
+    'an affine polynomial'
     """
 
     kind: ClassVar[str] = "method"

@@ -49,6 +49,19 @@ class Fits:
         Terms with the same number are switched together; None if each is switched alone.
     optional : ndarray of bool, shape (k,), optional
         Terms that may be chosen: neither in all selections nor in none; None if all may be.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import termsel
+    >>> class LargestError(termsel.Criterion):
+    ...     "Largest error at selection points."
+    ...     name = "largest-error"
+    ...
+    ...     def score(self, fits):  # `fits` is a Fits of p models
+    ...         return np.linalg.norm(fits.check_errors, axis=2).max(axis=1)
+    >>> issubclass(LargestError, termsel.Criterion)
+    True
     """
 
     model: SensorModel

@@ -52,6 +52,13 @@ class Spread:
     factors : ndarray, shape (m, 2, d), or None
         Their products, where known, are the covariances of what is not known, at all places and of
         both axes: a measurement lessens it elsewhere too.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> fitted = termsel.fit(termsel.simulate_scene("spot-isfahan"), "affine")
+    >>> fitted.estimator.spread(fitted, fitted.control.points.ground).variance.shape
+    (12, 2)
     """
 
     variance: FloatArray

@@ -74,6 +74,27 @@ class Reader(Configurable, ABC):
         with an empty head.
     general : bool
         Whether it reads files of many kinds, so that a reader of their own kind comes before it.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import termsel
+    >>> class Blanks(termsel.Reader):
+    ...     "Points as id, X, Y, Z, line, sample between blanks."
+    ...     name = "blanks-demo"
+    ...     summary = "id, X, Y, Z, line, sample, separated by blanks"
+    ...
+    ...     def sniff(self, path, head):
+    ...         return path.suffix == ".blanks"
+    ...
+    ...     def read(self, path):
+    ...         rows = [line.split() for line in path.read_text().splitlines()]
+    ...         numbers = np.array([row[1:] for row in rows], dtype=float)
+    ...         ids = tuple(row[0] for row in rows)
+    ...         points = termsel.Points(ids, image=numbers[:, 3:], ground=numbers[:, :3])
+    ...         return termsel.FeatureSet(points=points, crs="EPSG:4979")
+    >>> Blanks().name
+    'blanks-demo'
     """
 
     kind = "reader"
@@ -158,6 +179,23 @@ class Writer(Configurable, ABC):
         What of a result, an installation or an image it requires, for ``termsel describe``.
     suffix : str
         Ending of the file names that ``termsel run --export`` chooses.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> class Names(termsel.Writer):
+    ...     "Names of the terms in use."
+    ...     name = "names-demo"
+    ...     summary = "the terms in use, one a line"
+    ...     suffix = ".txt"
+    ...
+    ...     def accepts(self, result):
+    ...         return True
+    ...
+    ...     def write(self, result, path):
+    ...         path.write_text("\\n".join(result.selection.terms))
+    >>> Names().suffix
+    '.txt'
     """
 
     kind = "writer"

@@ -94,6 +94,14 @@ class SensorModel(Configurable, ABC):
     A model works in scaled coordinates: image and ground within about [-1, 1] (see
     `termsel.data.scaling`). A model that depends on its place on Earth finds it in
     `scaling` and `crs`, or calls `geographic`.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> issubclass(termsel.Polynomial3D, termsel.SensorModel)
+    True
+    >>> termsel.Polynomial3D(degree=1).terms[0]
+    'line.num:1'
     """
 
     kind = "model"

@@ -60,6 +60,13 @@ class ThinPlate(Interpolating):
     ----------
     Duchon 1977; Wahba 1990, Spline Models for Observational Data; Wood 2011, J. R. Stat. Soc. B
     73(1), for REML; Wood 2003, J. R. Stat. Soc. B 65(1), for few kernels of many.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> fitted = termsel.fit(termsel.simulate_scene("spot-isfahan"), "tps", smoothing=0)
+    >>> fitted.rmse(fitted.control.points).total < 1e-6  # control points are met exactly
+    True
     """
 
     name = "tps"
@@ -96,6 +103,13 @@ class Field(Interpolating):
     References
     ----------
     Moritz 1980, Advanced Physical Geodesy; Stein 1999, Interpolation of Spatial Data.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> fitted = termsel.fit(termsel.simulate_scene("spot-isfahan"), "field")
+    >>> fitted.model.uses_height
+    False
     """
 
     name = "field"
@@ -108,7 +122,14 @@ class Field(Interpolating):
 
 
 class Field3D(Field):
-    """3-D polynomial with local deformation: `field` with a polynomial of X, Y and Z."""
+    """3-D polynomial with local deformation: `field` with a polynomial of X, Y and Z.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> termsel.Field3D().uses_height
+    True
+    """
 
     name = "field3d"
     variables = 3

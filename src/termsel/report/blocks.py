@@ -18,6 +18,12 @@ class Note:
     ----------
     text, label : str
         What is said, and what stands before it.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> termsel.Note("Two points share one position.").label
+    'Note'
     """
 
     text: str
@@ -54,6 +60,12 @@ class Code:
     ----------
     text : str
         Shown as it is, line by line.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> termsel.Code("termsel report result").text
+    'termsel report result'
     """
 
     text: str

@@ -147,6 +147,16 @@ class GivenGenes(TaskMethod):
     ----------
     genes : ndarray, shape (size,)
         Valid genes of ``task.problem.genome``; its `repair` makes such of any numbers.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import termsel
+    >>> task = termsel.prepare("poly-terms", options={"degree": 2})
+    >>> genes = np.ones(task.problem.genome.size, dtype=bool)
+    >>> result = termsel.assess(termsel.GivenGenes(genes), task)
+    >>> len(result.selection.terms)
+    12
     """
 
     genes: Genes

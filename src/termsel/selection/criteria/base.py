@@ -28,7 +28,22 @@ def _score_fault(_criterion: Criterion, value: Any, fits: Fits) -> str | None:
 
 
 class Criterion(Configurable, ABC):
-    """A figure of merit of fitted models; smaller is better."""
+    """A figure of merit of fitted models; smaller is better.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import termsel
+    >>> class LargestError(termsel.Criterion):
+    ...     "Largest error at selection points."
+    ...     name = "largest-error"
+    ...     needs_check = True
+    ...
+    ...     def score(self, fits):  # a population of p models
+    ...         return np.linalg.norm(fits.check_errors, axis=2).max(axis=1)
+    >>> LargestError().name
+    'largest-error'
+    """
 
     kind = "criterion"
     guards: ClassVar[Mapping[str, Check | None]] = {

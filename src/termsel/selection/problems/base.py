@@ -107,6 +107,13 @@ class EnumerablePart:
         Control rows of each fold, for the score "kfold".
     pixels : float
         px per unit of the system's target.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> parts = termsel.prepare("poly-terms", options={"degree": 2}).problem.parts()
+    >>> [len(part.genes) for part in parts]  # line and sample, six terms each
+    [6, 6]
     """
 
     genes: IntArray
@@ -165,7 +172,26 @@ def _design_fault(problem: Problem, value: Any) -> str | None:
 
 
 class Problem(Guarded, ABC):
-    """What a solver sees: a genome, names of objectives, and an evaluation of genes."""
+    """What a solver sees: a genome, names of objectives, and an evaluation of genes.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import termsel
+    >>> class OneMax(termsel.Problem):
+    ...     "As many ones as possible."
+    ...     genome = termsel.Genome([termsel.Bits("bits", tuple("abcd"))])
+    ...     objectives = ("zeros",)
+    ...
+    ...     def evaluate(self, genes):
+    ...         zeros = (np.asarray(genes) == 0).sum(axis=1, keepdims=True)
+    ...         return termsel.Evaluation(zeros.astype(float), np.zeros(len(genes)))
+    ...
+    ...     def decode(self, genes):
+    ...         return termsel.Selection(terms=(), features=())
+    >>> OneMax().evaluate(np.array([[1, 0, 1, 1]])).objectives
+    array([[1.]])
+    """
 
     kind = "problem"
     guards: ClassVar[Mapping[str, Check | None]] = {

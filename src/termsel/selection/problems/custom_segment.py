@@ -72,6 +72,18 @@ class CustomSegment(Named, Guarded):
     name : str
     labels : tuple of str
         What each gene is.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import termsel
+    >>> class Even(termsel.CustomSegment):
+    ...     "Genes that are even numbers."
+    ...
+    ...     def repaired(self, genes):
+    ...         return 2 * (np.asarray(genes) // 2)
+    >>> Even("steps", ("line", "sample")).labels
+    ('line', 'sample')
     """
 
     kind: ClassVar[str] = "segment"

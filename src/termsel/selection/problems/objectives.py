@@ -29,6 +29,14 @@ class PopulationSelection:
     control : FeatureSet
     terms : ndarray of bool, shape (p, k)
     features : ndarray of bool, shape (p, f)
+
+    Examples
+    --------
+    >>> import termsel
+    >>> fewest = termsel.Objective("n_on", "Number of terms.", lambda population:
+    ...                            population.terms.sum(axis=1))  # a PopulationSelection
+    >>> fewest.name
+    'n_on'
     """
 
     equations: Equations

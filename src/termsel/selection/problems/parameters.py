@@ -40,6 +40,17 @@ class ParameterProblem(Problem):
     ------
     TermselError
         If the model has no such option, or one without bounds.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> class Degrees(termsel.ParameterProblem):
+    ...     "The degree of a polynomial, as a whole number."
+    ...
+    ...     def __init__(self, inputs):
+    ...         super().__init__(inputs, parameters=["degree"])
+    >>> issubclass(Degrees, termsel.Problem)
+    True
     """
 
     def __init__(self, inputs: ProblemData, parameters: Iterable[str], *, terms: bool = False,

@@ -56,6 +56,17 @@ class SelectionProblem(Problem):
     ------
     TermselError
         If the model does not allow this selection, or there is too little control.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import termsel
+    >>> problem = termsel.prepare("poly-terms", options={"degree": 2}).problem
+    >>> isinstance(problem, termsel.SelectionProblem)
+    True
+    >>> genes = problem.genome.random(np.random.default_rng(1), 5)
+    >>> problem.evaluate(genes).objectives.shape
+    (5, 1)
     """
 
     def __init__(self, inputs: ProblemData, *, terms: bool, features: bool,

@@ -74,6 +74,24 @@ class Solver(Configurable, ABC):
 
     All solvers run alike: with the same most terms, the same default budget, and a local
     refinement only where the run declares one.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> class Sampling(termsel.Solver):
+    ...     "Random genes, fifty at a time."
+    ...     name = "sampling-demo"
+    ...     max_objectives = 1
+    ...
+    ...     def generations(self, problem, rng):
+    ...         index = 0
+    ...         while True:
+    ...             genes = problem.genome.random(rng, 50)
+    ...             yield termsel.Generation(index, genes, problem.evaluate(genes))
+    ...             index += 1
+    >>> result = termsel.run("poly-terms", solver=Sampling(), evaluations=200)
+    >>> result.solver
+    'sampling-demo'
     """
 
     kind = "solver"

@@ -56,6 +56,16 @@ class SubsetSystem:
         For more than 62 columns.
     ValueError
         For arrays whose shapes do not fit or whose values are not finite.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import termsel
+    >>> rng = np.random.default_rng(1)
+    >>> design = rng.normal(size=(20, 6))
+    >>> system = termsel.SubsetSystem(design, design[:, :2].sum(axis=1, keepdims=True))
+    >>> system.design.shape
+    (20, 6)
     """
 
     design: FloatArray

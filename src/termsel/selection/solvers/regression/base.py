@@ -51,6 +51,18 @@ class Regression:
         Fewest and most columns; the most leave a redundancy of at least 1.
     pixels : float
         Size of the target's unit [px].
+
+    Examples
+    --------
+    >>> import termsel
+    >>> class First(termsel.TermRegression):
+    ...     "All columns, those that are always chosen included."
+    ...     name = "first-demo"
+    ...
+    ...     def choose(self, regression):
+    ...         return regression.free | regression.kept
+    >>> First().name
+    'first-demo'
     """
 
     genes: IntArray
@@ -190,7 +202,20 @@ def generation_of(problem: Problem, regressions: list[Regression], selections: l
 
 
 class TermRegression(Solver):
-    """Base of solvers that choose the columns of each part only from its control rows."""
+    """Base of solvers that choose the columns of each part only from its control rows.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> class AllColumns(termsel.TermRegression):
+    ...     "All columns that are free."
+    ...     name = "all-demo"
+    ...
+    ...     def choose(self, regression):
+    ...         return regression.free | regression.kept
+    >>> AllColumns().ends_by_itself
+    True
+    """
 
     ends_by_itself = True
     uses_chance = False
