@@ -204,5 +204,5 @@ def test_a_vendor_rpc_is_shown_with_its_shift() -> None:
                      coefficients={"line.bias:1": -0.5, "sample.bias:1": 0.25})
     changed["scaling"] = {**changed["scaling"], "line_scale": 28.0, "sample_scale": 36.0}
     assert convert(changed, Record).data.rpc
-    assert any(line.startswith("Model     vendor RPC plus shift (-14.00, +9.00 px in line, sample)")
-               for line in first_screen(**changed))
+    assert any(line.startswith("Model     vendor RPC plus shift at the control (-14.00, +9.00 px "
+                               "in line, sample)") for line in first_screen(**changed))

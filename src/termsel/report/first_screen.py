@@ -179,7 +179,7 @@ def _shift_of(record: Record) -> str:
         return ""
     line = coefficients["line.bias:1"] * record.scaling.line_scale
     sample = coefficients["sample.bias:1"] * record.scaling.sample_scale
-    return f"shift ({line:+.2f}, {sample:+.2f} px in line, sample)"
+    return f"shift at the control ({line:+.2f}, {sample:+.2f} px in line, sample)"
 
 
 def _model(record: Record) -> str:

@@ -156,7 +156,7 @@ def _table(table: TableBlock) -> str:
     choice = f' data-choice="{_text(table.choice)}"' if table.choice else ""
     rows = [_row(table, i, word_classes) for i in range(len(table.rows))]
     caption = _text(table.caption)
-    table_html = (f'<div class="scroll" tabindex="0"><table{choice}><caption>{caption}'
+    table_html = (f'<div class="scroll" tabindex="0"><table{choice}><caption><span>{caption}</span>'
                   f"</caption><thead><tr>{''.join(heads)}</tr></thead><tbody>\n"
                   + "\n".join(rows) + "\n</tbody></table></div>")
     if table.folded:

@@ -234,7 +234,7 @@ class CorrectedRpc(Method):
         sigma = np.sqrt((believed.variance(rows).sum() - 8 * believed.noise) / 4)
         return (f"The vendor's RPC{f' {rpc.source}' if rpc.source else ''} is corrected by "
                 f"{shift[0]:+.2f} px in line and {shift[1]:+.2f} px in sample, in the middle of "
-                f"its image. The points call for {_WORDS[likeliest]} (probabilities: "
+                f"its image. The points support {_WORDS[likeliest]} (probabilities: "
                 f"{', '.join(chances)}). At the corners the correction is known to {sigma:.2g} "
                 "px.")
 

@@ -27,6 +27,8 @@ LENGTH = 0.06
 """Of the median vector, in widths of the map."""
 MAP_MARGIN = 0.04
 """Drawn around the image, in widths of it."""
+WIDEST = 3.0
+"""Width of a map in heights, at most."""
 VECTOR_ROUNDING = 1e-9
 """Median vector, in widths of the map, up to which residuals are rounding and not exaggerated."""
 
@@ -50,13 +52,15 @@ def image_map(view: View, image: str = "", rows: list[Row] | None = None,
     wide = max(right_sample - left_sample, 1.0)
     high = max(bottom - top, 1.0)
     margin = MAP_MARGIN * max(wide, high)
+    # Points in a row leave no room for arrows across it; room is added up to the widest map.
+    above = max(margin, (wide / WIDEST - high) / 2)
     rows = view.in_image if rows is None else rows
     x = alt.X("sample:Q", title="sample [px]", axis=alt.Axis(grid=False, tickCount=6),
               scale=alt.Scale(domain=[left_sample - margin, right_sample + margin], nice=False,
                               zero=False))
     y = alt.Y("line:Q", title="line [px]", axis=alt.Axis(grid=False, tickCount=6),
               # Lines are counted downwards.
-              scale=alt.Scale(domain=[bottom + margin, top - margin], nice=False, zero=False))
+              scale=alt.Scale(domain=[bottom + above, top - above], nice=False, zero=False))
     frame = alt.Chart(chart_rows([{"line": top, "sample": left_sample, "line2": bottom,
                                    "sample2": right_sample, "url": image}]))
     ends = {"x": x, "y": y, "x2": "sample2:Q", "y2": "line2:Q"}
@@ -74,9 +78,9 @@ def image_map(view: View, image: str = "", rows: list[Row] | None = None,
     layers += _arrows(view, rows, x, y, ("ds", "dl"), scale, downwards=True, member=member)
     length = nice(0.2 * wide / scale)  # a pixel may be wider than the map
     length = 1.0 if length > 1 and scale > 0.02 * wide else length  # or too short to be seen
-    layers.append(_bar(left_sample, bottom + 0.55 * margin, length, f"{length:g} px", "sample",
+    layers.append(_bar(left_sample, bottom + 0.55 * above, length, f"{length:g} px", "sample",
                        "line", x, y))
-    return _map(layers, (wide + 2 * margin) / (high + 2 * margin))
+    return _map(layers, (wide + 2 * margin) / (high + 2 * above))
 
 
 def ground_map(view: View) -> Any:
@@ -134,7 +138,7 @@ def sigma_map(view: View) -> Any:
 
 def _map(layers: list[Any], aspect: float) -> Any:
     # A strip of one orbit may be a hundred times as long as wide; on the map it is cut to three.
-    aspect = min(max(aspect, 0.4), 3.0)
+    aspect = min(max(aspect, 0.4), WIDEST)
     wide = WIDTH if aspect >= 0.9 else WIDTH * aspect / 0.9
     return require_altair().layer(*layers).properties(width=round(wide),
                                                       height=round(wide / aspect))

@@ -55,8 +55,8 @@ def page_of(result: BlockResult, record: BlockRecord) -> str:
         "image.", _map(result), keeps_ratio=True)
     by_image = Figure(
         "images", "Residuals and uncertainty by image",
-        "The RMSE of the ties in each image, and the RMSE that is predicted for points measured "
-        "like the control, over the area of these ties. The least certain image comes first"
+        "The RMSE of the ties in each image, and the predicted RMSE of the table of images. The "
+        "image that is least certain over the area of its ties comes first"
         f"{_first(record)}.", _bars(record))
     by_tie = Figure(
         "ties", "Residuals by tie",
@@ -189,7 +189,7 @@ def _bars(record: BlockRecord) -> Any:
     rows = []
     for image in images:
         rows.append({"image": image.name, "what": "ties", "px": image.rmse_ties})
-        rows.append({"image": image.name, "what": "predicted", "px": image.uncertainty})
+        rows.append({"image": image.name, "what": "predicted", "px": image.predicted})
     colours = alt.Scale(domain=["ties", "predicted"], range=[CONTROL, FAINT])
     return alt.Chart(chart_rows(rows)).mark_bar().encode(
         x=alt.X("px:Q", title="RMSE [px]", axis=alt.Axis(tickCount=8)), yOffset="what:N",

@@ -125,7 +125,10 @@ def _blunders(record: BlockRecord) -> str:
     worst = rejected[:_MAX_REJECTED_NAMED]
     named = ", ".join(f"{wrong.id} in {wrong.image} {wrong.error:.1f} px" for wrong in worst)
     further = f", {ties + control - len(worst)} more" if ties + control > len(worst) else ""
-    return f"{ties} tie and {control} GCP observations rejected: {named}{further}"
+    kinds = " and ".join(f"{number} {kind}" for number, kind in (
+        (ties, "tie"), (control, "GCP")) if number)
+    noun = "observation" if ties + control == 1 else "observations"
+    return f"{kinds} {noun} rejected: {named}{further}"
 
 
 def _table(record: BlockRecord, most: int) -> list[str]:
