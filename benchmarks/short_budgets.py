@@ -276,7 +276,10 @@ here, as the tables say. A ratio is that of the median
 over seeds to the least objective that any method found on the scene at any budget; the table has
 the median and the largest of the scenes. The populations of `ga` were chosen on twelve other
 scenes, two of each kind, where 60 chromosomes did better at 4,000 evaluations than 100 and 200, and
-a start with half of the genes on better than one with random shares.
+a start with half of the genes on better than one with random shares. Who survives was chosen on
+twelve further ones. At 16,000 evaluations the best of parents and children, no copies among them
+and tournaments of 2, had a median ratio of 1.035, children and two elites 1.069, pymoo 1.060. At
+500 and 4,000 they hardly differed, 1.44 to 1.50 and 1.138 to 1.144, and children survive there.
 
 A lower objective is no better model: see [A lower check RMSE](overfitting.md).
 """

@@ -9,7 +9,7 @@ import pytest
 
 import termsel
 from termsel.core.errors import TermselError
-from termsel.data.features import FloatArray
+from termsel.data.features import BoolArray, FloatArray
 from termsel.models.base import LINE, SAMPLE
 from termsel.selection.problems.base import Evaluation, Problem
 from termsel.selection.problems.genome import Genome
@@ -311,3 +311,37 @@ def test_few_evaluations_suffice_for_fast_mutation() -> None:
                                 for seed in range(3)]))
 
     assert reached(FastMutation(), 150) <= reached(RandomSearch(), 300)
+
+
+# Who survives
+
+
+def zeros_cost(genes: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """Return the number of genes that are off."""
+    return (~genes.astype(bool)).sum(axis=1)[:, None].astype(float), np.zeros(len(genes))
+
+
+def test_the_best_of_parents_and_children_survive_without_copies() -> None:
+    problem = Toy(Genome([Bits("terms", tuple(f"t{i}" for i in range(40)))]), zeros_cost)
+    solver = GeneticAlgorithm(population=20, survival="best")
+    generations = list(islice(solver.generations(problem, rng()), 15))
+    worst = [generation.evaluation.objectives.max() for generation in generations]
+    assert worst == sorted(worst, reverse=True)
+    for generation in generations[1:]:
+        assert len(np.unique(generation.genes, axis=0)) == 20
+
+
+def test_a_space_smaller_than_the_population_has_copies() -> None:
+    problem = Toy(Genome([Bits("terms", ("a", "b"))]), zeros_cost)
+    solver = GeneticAlgorithm(population=8, survival="best")
+    last = list(islice(solver.generations(problem, rng()), 4))[-1]
+    assert len(last.genes) == 8
+
+
+@pytest.mark.parametrize(("budget", "keeps_best"), [(None, False), (4_000, False), (13_200, True)])
+def test_the_budget_decides_who_survives(budget: int | None, keeps_best: bool) -> None:
+    problem = Toy(Genome([Bits("terms", ("a", "b"))]), zeros_cost)
+    problem.budget = budget
+    assert GeneticAlgorithm().keeps_best(problem) is keeps_best
+    assert GeneticAlgorithm(survival="best").keeps_best(problem)
+    assert not GeneticAlgorithm(survival="children").keeps_best(problem)

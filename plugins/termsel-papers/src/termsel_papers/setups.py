@@ -20,7 +20,7 @@ PATIENCE = 50
 """Generations without a gain after which a search has converged, where a paper states no number."""
 
 # Table 2 of the paper, for its own GA and for the one without correlations alike.
-AKHOUNDI_GA = {"population": 500, "mutation": 0.001}
+AKHOUNDI_GA = {"population": 500, "mutation": 0.001, "survival": "children"}
 
 
 # Each is what its paper states: no limit on terms where it has none, and no refinement after it.
@@ -29,8 +29,9 @@ PAPERS = (
            "the two best, IKONOS with 63 control and 31 selection points.", select_terms,
            model="poly2d", model_options={"degree": 3, "powers": "each"},
            dataset="ikonos-hamedan-63-31", options=with_defaults(OF_TERMS, max_share=1.0),
-           solver="ga", solver_options={"ga": {"parents": "two-best"}}, patience=PATIENCE,
-           refined=False, source="Valadan Zoej et al. 2002, sections 2.1 and 3.2, table 1"),
+           solver="ga", patience=PATIENCE, refined=False,
+           solver_options={"ga": {"parents": "two-best", "survival": "children"}},
+           source="Valadan Zoej et al. 2002, sections 2.1 and 3.2, table 1"),
     Recipe("zakaryaie-2015", "Terms of a 2-D polynomial for both axes by ICA, IKONOS with 35 "
            "control and 39 selection points.", select_terms,
            model="poly2d", model_options={"degree": 5}, dataset="ikonos-hamedan-35-39",
@@ -38,14 +39,16 @@ PAPERS = (
            # Their table 3 compares with the populations of Yavari et al. 2012.
            solver_options={"ica": {"population": 100, "imperialists": 0.1, "revolution": 0.1,
                                    "alpha": 0.08, "similarity": True},
-                           "ga": {"population": 50}, "pso": {"population": 30}},
+                           "ga": {"population": 50, "survival": "children"},
+                           "pso": {"population": 30}},
            patience=PATIENCE, refined=False, source="Zakaryaie Nejad et al. 2015, table 1"),
     Recipe("yavari-2018", "Control lines by GA under an RFM of 78 terms, then its terms by "
            "particle swarm.", select_both,
            model="rfm", dataset="ikonos-hamedan", control="lines",
            options=with_defaults(OF_BOTH, steps="features-first", then="pso", max_share=1.0,
                                  blunders="keep"),
-           solver="ga", patience=PATIENCE, refined=False, source=YAVARI),
+           solver="ga", solver_options={"ga": {"survival": "children"}}, patience=PATIENCE,
+           refined=False, source=YAVARI),
     Recipe("akhoundi-2020", "Terms of an RFM of 78 by a GA with a population guided by "
            "correlation, IKONOS with 24 control, 24 check and 26 independent check points.",
            select_terms, model="rfm", dataset="ikonos-hamedan",
