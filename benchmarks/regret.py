@@ -122,9 +122,8 @@ def nested(features: termsel.FeatureSet) -> tuple[str, ...]:
         roles = tuple("independent" if one == out else "control" for one in fold)
         inner = replace(features, points=replace(known, roles=roles), lines=no_lines())
         for member in proven(inner, "press").front:
-            rmse = member.rmse["independent"] if isinstance(member.rmse, dict) \
-                else member.rmse.independent
-            squares.setdefault(int(member.objectives["n_terms"]), []).append(rmse.total**2)
+            total = member.rmse["independent"].total
+            squares.setdefault(int(member.objectives["n_terms"]), []).append(total**2)
     complete = {size: float(np.mean(some)) for size, some in squares.items()
                 if len(some) == FOLDS}
     size = min(complete, key=lambda one: complete[one])
