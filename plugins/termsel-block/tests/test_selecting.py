@@ -16,7 +16,7 @@ pytest.importorskip("termsel_block", reason="termsel-block is not installed: "
 from termsel import TermselError
 from termsel.testing import invoke
 from termsel_block.joint import adjust
-from termsel_block.selecting import OwdisBlock, _only, _without_check, select
+from termsel_block.selecting import OwdisBlock, _with_selection, _without_check, select
 from termsel_block.simulated import simulate_block
 
 BLOCK = simulate_block(3, n_ties=60, rpcs=True, control=(6, 6), check=8, independent=20,
@@ -42,7 +42,7 @@ def test_a_selection_is_scored_as_its_own_adjustment(problem: OwdisBlock) -> Non
     genes[[0, 3, 7, 10, *range(12, 36, 2)]] = True
     names = problem.decode(genes).features
     control = {tuple(name.split(":")[1:]) for name in names if name.startswith("control")}
-    result = adjust(_only(_without_check(BLOCK), control,  # type: ignore[arg-type]
+    result = adjust(_with_selection(_without_check(BLOCK), control,  # type: ignore[arg-type]
                           {name[4:] for name in names if name.startswith("tie")}))
     squares = []
     for i, image in enumerate(BLOCK.images):

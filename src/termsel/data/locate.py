@@ -91,15 +91,19 @@ def _newton(project: Projection, image: FloatArray, ground: FloatArray, unit: Fl
             wrong = oblique[going]
             if wrong.any():
                 again = going[wrong]
-                ground[again] = _shortened(project, image[again], at[wrong], before[wrong], unit)
+                ground[again] = _after_shortened_steps(
+                    project, image[again], at[wrong], before[wrong], unit)
                 error[again] = image[again] - project(ground[again])
     ground[~(np.abs(error).max(axis=1) <= LOCATE_TOLERANCE)] = np.nan
     return ground
 
 
-def _shortened(project: Projection, image: FloatArray, ground: FloatArray, error: FloatArray,
-               unit: FloatArray) -> FloatArray:
-    """Return ground points moved by their own Newton steps, or shares of these that help."""
+def _after_shortened_steps(project: Projection, image: FloatArray, ground: FloatArray,
+                           error: FloatArray, unit: FloatArray) -> FloatArray:
+    """Return ground points moved by their own Newton steps, or by shares of these that help.
+
+    A step is halved until it makes the error smaller; a point that no share helps stays.
+    """
     full = np.einsum("nij,nj->ni", _inverse(project, ground, unit), error)
     moved = ground.copy()
     todo = np.arange(len(ground))

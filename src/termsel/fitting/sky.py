@@ -29,8 +29,9 @@ def image_places(fitted: Fit, across: int = _ACROSS) -> FloatArray:
 
 
 def middle_height(fitted: Fit) -> float:
-    """Return the middle height of the control; 0 where it is not known."""
-    return float(np.nan_to_num(fitted.ground_box()[0][2]))
+    """Return the middle height of the control, in the unit of z; 0 where it is not known."""
+    middle, *_ = fitted.ground_box()
+    return float(np.nan_to_num(middle[2]))
 
 
 def ground_where_held(fitted: Fit, image: FloatArray, heights: FloatArray | float | Surface,

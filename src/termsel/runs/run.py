@@ -195,7 +195,7 @@ def run(
                                    "checkpoint": kept})
         return assess(searching, task, memory=memory)
 
-    return _written(result_of_run, out, overwrite, _seconds_of_compilation(task, sole_method))
+    return _run_and_write(result_of_run, out, overwrite, _seconds_of_compilation(task, sole_method))
 
 
 def _warn_of_search(task: Task, words: Sequence[str], *, is_in_place_of_auto: bool) -> None:
@@ -226,8 +226,8 @@ def _refuse_named(arguments: Mapping[str, Any]) -> None:
                            hint="Give them to termsel.prepare.")
 
 
-def _written(work: Callable[[], Result], out: Path | str | None, overwrite: bool, longer: int
-             ) -> Result:
+def _run_and_write(work: Callable[[], Result], out: Path | str | None, overwrite: bool,
+                   longer: int) -> Result:
     """Do the work of a run, write its result where that is asked for, and tell the plugins.
 
     `longer` are the seconds that a run takes longer which compiles, if any.

@@ -187,7 +187,7 @@ def select(block: Block, *, solver: str | Solver = "ga", seed: int = 1,
     control = tuple((image, name) for kind, image, name in map(_parts, names) if kind == "control")
     ties = tuple(name for kind, _, name in map(_parts, names) if kind == "tie")
     # Adjusted again with the selection alone: the linearised figures are only for the search.
-    result = adjust(_only(_without_check(block), set(control), set(ties)))
+    result = adjust(_with_selection(_without_check(block), set(control), set(ties)))
     everything = np.ones((1, problem.genome.size), bool)
     check_of_all = float(problem.evaluate(everything).objectives[0, 0])
     return Selected(
@@ -222,8 +222,8 @@ def _with_off(image: BlockImage, is_off: Callable[[str, str], bool]) -> BlockIma
     return replace(image, features=replace(image.features, points=replace(points, roles=roles)))
 
 
-def _only(block: Block, control: set[tuple[str, str]], ties: set[str]) -> Block:
-    """Return a block with the selected control and ties alone."""
+def _with_selection(block: Block, control: set[tuple[str, str]], ties: set[str]) -> Block:
+    """Return a block with the selected control and ties, and all independent points."""
     images = []
     for image in block.images:
         selected_image = _with_off(image, partial(_is_out, image.name, control))
@@ -234,11 +234,12 @@ def _only(block: Block, control: set[tuple[str, str]], ties: set[str]) -> Block:
         images.append(selected_image)
     # Ties are numbered again; measurements of the others are dropped.
     keep = np.array([name in ties for name in block.ties.names])
-    of = keep[block.ties.tie]
+    measured_ties = keep[block.ties.tie]
     number = np.cumsum(keep) - 1
     measured = replace(block.ties, names=tuple(n for n in block.ties.names if n in ties),
-                       tie=number[block.ties.tie[of]], image=block.ties.image[of],
-                       position=block.ties.position[of])
+                       tie=number[block.ties.tie[measured_ties]],
+                       image=block.ties.image[measured_ties],
+                       position=block.ties.position[measured_ties])
     return replace(block, images=tuple(images), ties=measured)
 
 

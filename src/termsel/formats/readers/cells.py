@@ -298,18 +298,21 @@ def _sheets(path: Path, layer: str | None,
             names = [sheet.name for sheet in book.sheets_metadata
                      if sheet.visible == SheetVisibleEnum.Visible or sheet.name == layer]
             return names, {
-                name: _filled(book.get_sheet_by_name(name).to_python(skip_empty_area=False))
+                name: _filled_rows(book.get_sheet_by_name(name).to_python(skip_empty_area=False))
                 for name in names if layer in (None, name)}
     except (CalamineError, OSError, ValueError) as error:
         raise TermselError(f"this spreadsheet cannot be read: {error}", file=path,
                            hint="Save it again, or as CSV.") from None
 
 
-def _filled(values: Sequence[Sequence[Any]]) -> tuple[list[list[str]], list[int]]:
-    """Return the rows of a sheet that are not empty, without empty columns at the end."""
+def _filled_rows(values: Sequence[Sequence[Any]]) -> tuple[list[list[str]], list[int]]:
+    """Return the rows of a sheet that are not empty, and their numbers in it, from 1.
+
+    All are as wide as the last column that any of them uses.
+    """
     rows = [list(map(as_cell, row)) for row in values]
     lines = [number for number, row in enumerate(rows, 1) if any(map(str.strip, row))]
-    # Rows without any cell are left out; the others keep their numbers.
+    # Messages name a row by its number in the sheet, which empty rows count in.
     rows = [rows[number - 1] for number in lines]
     widths = [max((i + 1 for i, cell in enumerate(row) if cell.strip()), default=0)
               for row in rows]

@@ -50,6 +50,7 @@ def draw(image: Path | str, selected: Selected, path: Path) -> None:
     agrees = selected.agrees
     residuals = (points.image - selected.result.project(points.ground))[agrees]
     times = scale_of(residuals, step)
+    # OpenCV takes whole numbers, here of 1/16 px (shift=4): a radius of 4 px is 4 << 4.
     for position, away in zip(points.image[agrees], residuals, strict=True):
         start, end = arrow(position, away, times, step)
         cv2.arrowedLine(drawn, start, end, color=_BLUE, thickness=2, line_type=cv2.LINE_AA,

@@ -60,6 +60,8 @@ class Phase(Matcher):
             a, b = (taper * (window - window.mean()) for window in (
                 grey[np.ix_(position[0] + steps, position[1] + steps)],
                 grey_second[np.ix_(at[0] + steps, at[1] + steps)]))
+            # Phase correlation: the inverse transform of conj(A) B / |conj(A) B| has its peak at
+            # the shift. 1e-9 is far below any frequency that a picture has, and divides by no 0.
             product = np.conj(rfft2(a)) * rfft2(b)
             surface = irfft2(product / np.maximum(np.abs(product), 1e-9), a.shape)
             away, best, next_best = peak(np.fft.fftshift(surface))
