@@ -12,7 +12,8 @@ import numpy as np
 from termsel.core.errors import TermselError, counted, first_of
 from termsel.data.coordinates.crs import is_geographic, normalise, with_stated_heights
 from termsel.data.coordinates.longitudes import nearest
-from termsel.data.features import BoolArray, FloatArray, select
+from termsel.data.coordinates.plausible import check_ground
+from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points, select
 from termsel.data.tables.columns import COORDINATES
 from termsel.fitting.extrapolation import FAR_OUTSIDE, outside
 from termsel.formats.base import read_once
@@ -80,6 +81,7 @@ def project_table(
                 error.hint = ("These are image positions: add --inverse, with --dem FILE or "
                               "--height H, for ground positions.")
             raise
+        check_ground(FeatureSet(Points(tuple(ids), np.zeros((len(ids), 2)), ground), crs=crs))
         with np.errstate(all="ignore"):
             image = result.project(ground)
         image[~np.isfinite(image)] = np.nan

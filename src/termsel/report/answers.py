@@ -124,7 +124,7 @@ def _accuracy(record: Record) -> Iterator[Block]:
             yield _prediction(predicted)
     if (strategy := record.strategy) and strategy.predicted is not None:
         # Compared as they are shown: a difference that nobody sees needs no sentence.
-        if predicted and rounded(predicted.rmse) != rounded(strategy.predicted):
+        if accuracy and predicted and rounded(predicted.rmse) != rounded(strategy.predicted):
             yield ("The independent check points have other heights than the control points. At "
                    "the heights of the control points the predicted RMSE is "
                    f"{rounded(strategy.predicted)} px.")
