@@ -14,12 +14,15 @@ pytest.importorskip("termsel_photos", reason="termsel-photos is not installed: "
 pytest.importorskip("pyproj", reason="pyproj is not installed: pip install pyproj")
 
 import termsel
-from termsel import FeatureSet, Points, TermselError
-from termsel.testing import invoke
+from termsel import FeatureSet, FitData, Points, TermselError
+from termsel.testing import checks, invoke
 from termsel.toolkit import normalise, transformation
 from termsel_photos.sheets.candidates import projections_of_file, usual_projections
 from termsel_photos.sheets.choosing import chosen_of, tried_projections
 from termsel_photos.sheets.meridians import meridian_of
+from termsel_photos.sheets.paper import Sheet, matrix_of, paper_of, values_of
+from termsel_photos.sheets.series import SHEET_OF_SERIES, paper_of_text, stated_paper
+from termsel_photos.sheets.series_file import in_series, series_of
 
 CONIC = "+proj=lcc +lat_1=43.5 +lat_2=48.5 +lat_0=46 +lon_0=8 +datum=WGS84 +units=m +no_defs"
 FLAT = "+proj=eqc +lat_ts=46 +lon_0=8 +datum=WGS84 +units=m +no_defs"
@@ -77,10 +80,73 @@ def test_sheets_of_a_series_share_their_projection(tmp_path: Path) -> None:
     candidates = tmp_path / "mine.txt"
     candidates.write_text(EVERY, encoding="utf-8")
     files = [table(one, tmp_path / f"{i}.csv") for i, one in enumerate(sheets)]
-    done = invoke("map-series", *files, "--candidates", candidates, "-o", tmp_path / "found.txt")
-    assert done.exit_code == 0
+    done = invoke("map-series", *files, "--candidates", candidates, "-o",
+                  tmp_path / "series.json")
+    assert done.exit_code == 0, done.stderr
     assert "Chosen for 4 sheets: conic" in done.stdout
-    assert (tmp_path / "found.txt").read_text("utf-8").startswith("+proj=lcc")
+    assert "Paper by 4 sheets" in done.stdout
+    read = termsel.read(files[1], crs="EPSG:4326", series=str(tmp_path / "series.json"))
+    assert read.fit_crs == normalise(CONIC)
+    # The other three sheets, not this one itself.
+    assert paper_of_text(stated_paper(read)).sheets == 3
+    (tmp_path / "wrong.json").write_text('{"projection": "", "sheets": [{}]}', encoding="utf-8")
+    with pytest.raises(TermselError, match="no file of a series"):
+        termsel.read(files[1], crs="EPSG:4326", series=str(tmp_path / "wrong.json"))
+
+
+def paper_sheet(n: int, seed: int, wild: bool = False) -> tuple[FeatureSet, FloatArray, FloatArray]:
+    """Return a sheet of one paper and scanner, other places, and where these are seen."""
+    rng = np.random.default_rng(seed)
+    values = np.array([-2.3, 0.0, 0.004, -0.003]) + rng.normal(0.0, [0.001, 0.005, 0.001, 0.001])
+    plan = rng.uniform(-15_000.0, 15_000.0, (n + 100, 2))
+    true = (plan @ matrix_of(values).T)[:, ::-1] * [-1.0, 1.0] + 2000.0
+    image = true + rng.normal(0.0, 3.0, true.shape)
+    corner = np.array([4e5 + 3e4 * seed, 5e6])
+    ground = np.column_stack([corner + plan, np.full(n + 100, np.nan)])
+    roles = ("control",) * n
+    if wild:
+        image[n:n + 3] += 500.0
+        roles += ("independent",) * 3
+    m = len(roles)
+    points = Points(tuple(f"P{i}" for i in range(m)), image[:m], ground[:m], roles=roles)
+    return FeatureSet(points, crs="EPSG:32632"), ground[n:], true[n:]
+
+
+def test_a_sheet_of_four_points_borrows_the_paper_of_its_neighbours() -> None:
+    series = series_of([paper_sheet(15, seed)[0] for seed in range(6)], "")
+    ratios = []
+    for seed in range(10, 18):
+        features, ground, image = paper_sheet(4, seed)
+        borrowed = SHEET_OF_SERIES.fit(FitData.of(in_series(features, series)))
+        alone = termsel.fit(features, "poly2d", degree=1)
+        errors = [np.sqrt(((fit.project(ground) - image) ** 2).sum(axis=1).mean())
+                  for fit in (borrowed, alone)]
+        ratios.append(errors[0] / errors[1])
+    assert np.median(ratios) < 0.8
+    assert "6 other sheets of the series lend it" in SHEET_OF_SERIES.describe(borrowed)
+
+
+def test_independent_points_do_not_tell_the_paper() -> None:
+    features = [paper_sheet(8, seed)[0] for seed in range(3)]
+    with_wild = [paper_sheet(8, seed, wild=True)[0] for seed in range(3)]
+    assert series_of(with_wild, "") == series_of(features, "")
+
+
+def test_the_numbers_of_a_sheet_are_those_of_its_matrix() -> None:
+    values = np.array([-1.2, 2.9, 0.01, -0.02])
+    np.testing.assert_allclose(values_of(matrix_of(values)), values, atol=1e-12)
+
+
+def test_sheets_about_half_a_turn_have_a_mean_turn_there() -> None:
+    sheets = [Sheet((0.0, turn, 0.0, 0.0), (1e-8,) * 4, 1.0, 10, ()) for turn in (3.13, -3.13)]
+    assert abs(abs(paper_of(sheets).means[1]) - np.pi) < 0.01
+
+
+def test_the_sheet_of_a_series_keeps_the_rules() -> None:
+    series = series_of([paper_sheet(15, seed)[0] for seed in range(3)], "")
+    features = [in_series(paper_sheet(n, 10 + n)[0], series) for n in (4, 9)]
+    for check in checks(SHEET_OF_SERIES, features=features):
+        check.run()
 
 
 def test_independent_points_take_no_part() -> None:

@@ -61,7 +61,7 @@ PACKAGES = {
         "match-ties": "Find tie points that two raw images share.",
         "match-example": "Write a simulated image, map and vectors to match."},
     "termsel_photos": {
-        "map-series": "Choose one projection for the sheets of a series of old maps.",
+        "map-series": "Find what all sheets of a series share: projection and paper.",
         "flight-camera": "Find the camera that the photos of one flight share."},
     "termsel_stability": {"stability": "Show how often each term is selected as points change."},
     "termsel_standards": {

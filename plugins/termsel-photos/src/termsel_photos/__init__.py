@@ -15,23 +15,24 @@ from termsel_photos.photo import PHOTO
 from termsel_photos.problem import RECIPE
 from termsel_photos.radial import Radial2D, Radial3D
 from termsel_photos.sheets.reading import SheetOptions
+from termsel_photos.sheets.series import SHEET_OF_SERIES, SeriesSheet
 
 if TYPE_CHECKING:
     import click
 
-__all__ = ["KnownFrame", "Radial2D", "Radial3D", "simulate_map"]
+__all__ = ["KnownFrame", "Radial2D", "Radial3D", "SeriesSheet", "simulate_map"]
 
 
 @hookimpl
 def termsel_models() -> Iterable[type[SensorModel]]:
-    """Return the models with radial distortion, and the camera of known interior."""
-    return [Radial2D, Radial3D, KnownFrame]
+    """Return the models with radial distortion, the camera of known interior, and the sheet."""
+    return [Radial2D, Radial3D, KnownFrame, SeriesSheet]
 
 
 @hookimpl
 def termsel_methods() -> Iterable[Method]:
-    """Return the photo whose camera is known."""
-    return [KNOWN_CAMERA]
+    """Return the photo whose camera is known, and the sheet whose series is."""
+    return [KNOWN_CAMERA, SHEET_OF_SERIES]
 
 
 @hookimpl

@@ -1,13 +1,18 @@
-"""Commands of this package: the projection of a series of sheets, the camera of a flight."""
+"""Commands of this package: what a series of sheets shares, the camera of a flight."""
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from termsel import read
-from termsel.toolkit import echo, print_table, say_written, write_text
+from termsel import FeatureSet, read
+from termsel.toolkit import LOCAL, echo, print_table, say_written, write_text
+
+if TYPE_CHECKING:
+    from termsel_photos.sheets.series_file import Series
 
 _PATH = click.Path(path_type=Path)
 
@@ -20,38 +25,65 @@ _PATH = click.Path(path_type=Path)
 @click.option("--candidates", type=_PATH, metavar="FILE",
               help="Projections to choose from, a CRS a line.")
 @click.option("--century", type=click.IntRange(15, 21), help="Century of the maps.")
-@click.option("--output", "-o", type=_PATH, metavar="FILE",
-              help="File to write the projection to; --fit-crs takes what it holds.")
+@click.option("--output", "-o", type=_PATH, metavar="FILE.json",
+              help="File of the series to write; the option series takes it.")
 def map_series(sheets: tuple[Path, ...], crs: str, prime_meridian: str | None,
                candidates: Path | None, century: int | None, output: Path | None) -> None:
-    """Choose the projection that all sheets of a series were drawn in.
+    """Find what all sheets of a series share: their projection, and what their paper is like.
 
     SHEETS are files of points, a sheet each. The projection that predicts the points of all of them
-    best is chosen, so that sheets of few points borrow from the others.
+    best is chosen. Scale, turn, stretch and shear of the sheets with many points, how much they
+    differ, and what an affine map leaves, are what a sheet of few points borrows.
 
     \b
     Examples:
       termsel map-series sheets/*.csv --prime-meridian ferro
-      termsel map-series sheets/*.csv --candidates mine.txt -o projection.txt
-      termsel compare --points 'sheets/*.csv' --crs EPSG:4326 \\
-          --set "projection=$(cat projection.txt)" --out result
+      termsel map-series sheets/*.csv --candidates mine.txt -o series.json
+      termsel compare --points 'sheets/*.csv' --crs EPSG:4326 --set series=series.json --out result
     """
-    from termsel_photos.sheets.choosing import chosen_of, tried_projections
-    from termsel_photos.sheets.reading import candidates_of
+    from termsel_photos.sheets.series_file import series_of
 
     meridian = {} if prime_meridian is None else {"prime_meridian": prime_meridian}
     read_sheets = [read(sheet, crs=crs, **meridian) for sheet in sheets]
-    projections = candidates_of(read_sheets, None if candidates is None else str(candidates),
-                                century)
-    ranked = tried_projections(read_sheets, projections)
+    projection = "" if all(sheet.crs in ("", LOCAL) for sheet in read_sheets) \
+        else _chosen_projection(read_sheets, candidates, century)
+    series = series_of(read_sheets, projection)
+    _say_paper(series)
+    if output is not None:
+        write_text(output, series.text())
+        say_written([output])
+
+
+def _chosen_projection(sheets: list[FeatureSet], candidates: Path | None,
+                       century: int | None) -> str:
+    """Return the projection of the series, and show how well each one predicts."""
+    from termsel_photos.sheets.choosing import chosen_of, tried_projections
+    from termsel_photos.sheets.reading import candidates_of
+
+    projections = candidates_of(sheets, None if candidates is None else str(candidates), century)
+    ranked = tried_projections(sheets, projections)
     best = chosen_of(ranked, projections)
     print_table(("projection", "predicted px", "CRS"),
                 [(projection.name, f"{projection.rmse:.3g}", projection.crs)
                  for projection in ranked])
     echo(f"\nChosen for {len(sheets)} sheets: {best.name}. --set projection='{best.crs}'")
-    if output is not None:
-        write_text(output, f"{best.crs}\n")
-        say_written([output])
+    return best.crs
+
+
+def _say_paper(series: Series) -> None:
+    """Say what the sheets tell of another one."""
+    from termsel_photos.sheets.paper import paper_of
+
+    if not series.sheets:
+        echo("No sheet has the 4 points that tell what the paper is like.")
+        return
+    paper = paper_of(series.sheets)
+    scale, turn, stretch, shear = paper.spreads
+    echo(f"Paper by {len(series.sheets)} sheets: {math.exp(paper.means[0]):.5g} px by unit of "
+         f"ground, to {100 * scale:.2g} %; turn {math.degrees(paper.means[1]):.3g} deg, to "
+         f"{math.degrees(turn):.2g}; stretch {100 * paper.means[2]:.2g} %, to {100 * stretch:.2g}; "
+         f"shear {100 * paper.means[3]:.2g} %, to {100 * shear:.2g}; an affine map leaves "
+         f"{paper.noise:.3g} px.")
 
 
 @click.command("flight-camera")

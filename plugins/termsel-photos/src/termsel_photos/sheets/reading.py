@@ -27,6 +27,9 @@ _NEXT = 2
 OPTIONS = (
     Option("prime_meridian", None, "Meridian that longitudes of the points count from: "
            f"{', '.join(MERIDIANS)}, or degrees from Greenwich."),
+    Option("series", None, "File of the series that a map is a sheet of, by termsel map-series: "
+           "its projection is taken, and a sheet of few points borrows what the others tell of the "
+           "paper."),
     Option("projection", None, "Projection that a map was drawn in, in which its model is fitted: "
            "a CRS, or auto for the one that predicts the points best."),
     Option("projection_candidates", None, "File of the projections that auto chooses from, a CRS a "
@@ -47,6 +50,8 @@ class SheetOptions:
                   if options_given.get(option.name) is not None}
         if "prime_meridian" in values:
             features = from_greenwich(features, meridian_of(values["prime_meridian"]))
+        if "series" in values:
+            return _of_series(features, values)
         if values.keys() & {"projection_candidates", "map_century"} \
                 and values.get("projection") != AUTO:
             raise TermselError("candidates and century are for a projection that is chosen",
@@ -67,6 +72,16 @@ class SheetOptions:
                     ", ".join(f"{projection.name} {projection.rmse:.3g} px"
                               for projection in next_best), features.crs)
         return replace(features, fit_crs=normalise(best.crs))
+
+
+def _of_series(features: FeatureSet, values: Mapping[str, Any]) -> FeatureSet:
+    """Return a sheet with what its series tells."""
+    from termsel_photos.sheets.series_file import in_series, read_series  # it fits models
+
+    if other := values.keys() & {"projection", "projection_candidates", "map_century"}:
+        raise TermselError(f"the file of a series has its projection, so {min(other)} has no use",
+                           hint="Leave one of them out.")
+    return in_series(features, read_series(values["series"]))
 
 
 def from_greenwich(features: FeatureSet, meridian: float) -> FeatureSet:

@@ -1,0 +1,241 @@
+"""What the sheets of a series have in common: scale, turn, stretch and shear of paper and scan.
+
+An affine map takes the ground of a sheet, in the projection of the series, to its scan. Its matrix
+is exp(scale) S R: a rotation R by the turn, and a symmetric S of determinant 1 along the edges of
+the scan, by which paper shrinks more along the sheet than across. The four numbers of a sheet
+differ from those of others by chance; how much, the sheets with many points tell. What an affine
+map leaves is measurement and local deformation together.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import digamma, polygamma
+
+from termsel import FeatureSet, FitData, TermselError
+from termsel.toolkit import FloatArray
+
+NAMES = ("scale", "turn", "stretch", "shear")
+TURN = 1
+"""Place of the turn among the four numbers: an angle."""
+
+MIN_POINTS_OF_PAPER = 4
+"""Points from which on a sheet tells its paper, and what an affine map leaves."""
+
+USUAL_SPREADS = np.array([0.003, 0.01, 0.003, 0.003])
+"""Scales of the priors of the standard deviations among sheets, with long tails: paper shrinks by
+some parts in a thousand, sheets lie on a scanner to half a degree."""
+
+SPREADS_TRIED = np.geomspace(1e-5, 10.0, 61)
+"""Standard deviations among sheets that are averaged over."""
+
+LEAST_FREEDOM, MOST_FREEDOM = 2.0, 40.0
+"""Bounds of the degrees of freedom that the usual noise of a series counts as."""
+
+LEAST_NOISE = 0.1
+"""Least standard deviation of what an affine map leaves of a sheet [px]."""
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """What one sheet tells of the series.
+
+    Parameters
+    ----------
+    values, variances : tuple of 4 floats
+        Of `NAMES`; variances are those of a noise of 1 px.
+    noise : float
+        Standard deviation of what the affine map leaves of lines, or of samples [px].
+    freedom : int
+        Its degrees of freedom.
+    points : tuple of str
+        A mark of each point, by which the sheet is known again.
+    """
+
+    values: tuple[float, ...]
+    variances: tuple[float, ...]
+    noise: float
+    freedom: int
+    points: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Paper:
+    """What is known of a sheet by others of its series.
+
+    Parameters
+    ----------
+    means, spreads : tuple of 4 floats
+        Expected values of `NAMES` and their standard deviations.
+    noise, freedom : float
+        Standard deviation of what an affine map leaves of lines, or of samples [px], and the
+        degrees of freedom that it counts as.
+    sheets : int
+        How many sheets told it.
+    """
+
+    means: tuple[float, ...]
+    spreads: tuple[float, ...]
+    noise: float
+    freedom: float
+    sheets: int
+
+
+def matrix_of(values: FloatArray) -> FloatArray:
+    """Return the matrix (2, 2) from ground x, y to sample and minus line, of four numbers."""
+    scale, turn, stretch, shear = values
+    # S = [[h e^r, k], [k, h e^-r]] has the determinant h^2 - k^2 = 1.
+    h = np.hypot(1.0, shear)
+    paper = np.array([[h * np.exp(stretch), shear], [shear, h * np.exp(-stretch)]])
+    return np.asarray(np.exp(scale) * paper @ rotation_by(turn))
+
+
+def rotation_by(turn: float) -> FloatArray:
+    """Return the rotation (2, 2) by an angle [rad]."""
+    return np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+
+
+def values_of(matrix: FloatArray) -> FloatArray:
+    """Return the four numbers of a matrix (2, 2) of positive determinant (polar decomposition)."""
+    u, singular, v = np.linalg.svd(matrix)
+    turned = u @ v
+    paper = (u * singular) @ u.T / np.sqrt(singular.prod())
+    turn = np.arctan2(turned[1, 0], turned[0, 0])
+    return np.array([np.log(singular.prod()) / 2.0, turn,
+                     np.log(paper[0, 0] / paper[1, 1]) / 2.0, paper[0, 1]])
+
+
+def sheet_of(features: FeatureSet) -> Sheet | None:
+    """Return what a sheet tells, in its CRS of the fit; None of few points or a mirrored scan."""
+    points = features.points
+    count = len(points)
+    if count < MIN_POINTS_OF_PAPER or len(features.lines):
+        return None
+    plan = plan_of(features)
+    columns = np.column_stack([np.ones(count), plan - plan.mean(axis=0)])
+    measured = upright(points.image)
+    if np.linalg.matrix_rank(columns / np.linalg.norm(columns, axis=0), 1e-6) < 3:
+        return None
+    coefficients = np.linalg.lstsq(columns, measured)[0]
+    matrix = coefficients[1:].T
+    if np.linalg.det(matrix) <= 0.0:
+        return None
+    freedom = 2 * count - 6
+    residuals = measured - columns @ coefficients
+    noise = max(float(np.sqrt((residuals**2).sum() / freedom)), LEAST_NOISE)
+    covariance = np.kron(np.eye(2), np.linalg.inv(columns.T @ columns)[1:, 1:])
+    slopes = _slopes(matrix)
+    variances = np.diag(slopes @ covariance @ slopes.T)
+    return Sheet(tuple(values_of(matrix).tolist()), tuple(variances.tolist()), noise, freedom,
+                 marks_of(features))
+
+
+def plan_of(features: FeatureSet) -> FloatArray:
+    """Return x and y of points (n, 2) in the CRS of the fit."""
+    scaling = FitData.of(features).scaling
+    scaled = scaling.ground(features.points.ground)[:, :2]
+    return np.asarray(scaled * scaling.ground_scale[:2] + scaling.ground_offset[:2])
+
+
+def upright(image: FloatArray) -> FloatArray:
+    """Return samples and minus lines (n, 2), which run to the right and upwards."""
+    return np.asarray(image[:, ::-1] * [1.0, -1.0])
+
+
+def marks_of(features: FeatureSet) -> tuple[str, ...]:
+    """Return a mark of each point, by its coordinates in the image and on the ground."""
+    points = features.points
+    rows = np.column_stack([points.image.round(3), points.ground[:, :2].round(6)])
+    return tuple(hashlib.sha256(repr(row.tolist()).encode()).hexdigest()[:12] for row in rows)
+
+
+def _slopes(matrix: FloatArray) -> FloatArray:
+    """Return the derivatives of the four numbers by the entries of a matrix, (4, 4)."""
+    step = 1e-6 * float(np.linalg.norm(matrix))
+    columns = []
+    for entry in range(4):
+        change = np.zeros((2, 2))
+        change.flat[entry] = step
+        difference = values_of(matrix + change) - values_of(matrix - change)
+        difference[TURN] = wrapped(difference[TURN])
+        columns.append(difference / (2.0 * step))
+    return np.column_stack(columns)
+
+
+def wrapped(angle: float) -> float:
+    """Return an angle in [-pi, pi)."""
+    return float((angle + np.pi) % (2.0 * np.pi) - np.pi)
+
+
+def paper_of(sheets: Sequence[Sheet]) -> Paper:
+    """Return what sheets tell of another one of their series.
+
+    Each number is normal among sheets, with a standard deviation that is averaged over: a random
+    effect (Gelman 2006, Bayesian Analysis 1(3), for the prior of its spread).
+
+    Raises
+    ------
+    TermselError
+        If there is no sheet.
+    """
+    if not sheets:
+        raise TermselError(f"no other sheet of the series has {MIN_POINTS_OF_PAPER} points",
+                           hint="Measure more points on some sheets, or leave series out.")
+    noise, freedom = usual_noise(sheets)
+    squares = np.array([(freedom * noise**2 + sheet.freedom * sheet.noise**2)
+                        / (freedom + sheet.freedom) for sheet in sheets])
+    values = np.array([sheet.values for sheet in sheets])
+    variances = np.array([sheet.variances for sheet in sheets]) * squares[:, None]
+    # Turns are counted from that of the first sheet, lest 359 and 1 degrees have the mean 180.
+    first_turn = values[0, TURN]
+    values[:, TURN] = [wrapped(turn - first_turn) for turn in values[:, TURN]]
+    expected = np.array([_of_another(*column) for column in zip(
+        values.T, variances.T, USUAL_SPREADS, strict=True)])
+    expected[TURN, 0] = wrapped(expected[TURN, 0] + first_turn)
+    return Paper(tuple(expected[:, 0].tolist()), tuple(expected[:, 1].tolist()), noise, freedom,
+                 len(sheets))
+
+
+def _of_another(values: FloatArray, variances: FloatArray,
+                usual_spread: float) -> tuple[float, float]:
+    """Return the mean and the standard deviation of the value of another sheet.
+
+    The spread among sheets is averaged over: its prior is half a Cauchy distribution.
+    """
+    totals = variances + SPREADS_TRIED[:, None] ** 2
+    weights = 1.0 / totals
+    means = (weights * values).sum(axis=1) / weights.sum(axis=1)
+    # The likelihood of a spread, with the mean integrated out, and the prior by its logarithm.
+    log_likelihoods = -0.5 * (np.log(totals).sum(axis=1) + np.log(weights.sum(axis=1))
+                              + (weights * (values - means[:, None]) ** 2).sum(axis=1))
+    log_priors = np.log(SPREADS_TRIED / (1.0 + (SPREADS_TRIED / usual_spread) ** 2))
+    posterior = np.exp(log_likelihoods + log_priors - (log_likelihoods + log_priors).max())
+    posterior /= posterior.sum()
+    mean = float(posterior @ means)
+    # Of few sheets the mean of the squares is that of the tail alone: the geometric one is usual.
+    squares = SPREADS_TRIED**2 + 1.0 / weights.sum(axis=1)
+    usual_square = float(np.exp(posterior @ np.log(squares)))
+    return mean, float(np.sqrt(usual_square + posterior @ (means - mean) ** 2))
+
+
+def usual_noise(sheets: Sequence[Sheet]) -> tuple[float, float]:
+    """Return the noise of a series [px], and the degrees of freedom that it counts as.
+
+    Variances of sheets are those of a scaled inverse chi-squared distribution, whose moments of the
+    logarithm tell both (Smyth 2004, Stat. Appl. Genet. Mol. Biol. 3(1), 3).
+    """
+    halves = np.array([sheet.freedom for sheet in sheets]) / 2.0
+    logs = np.log([sheet.noise**2 for sheet in sheets]) - digamma(halves) + np.log(halves)
+    log_square = float(np.mean(logs))
+    freedom = LEAST_FREEDOM
+    if len(sheets) > 1:
+        excess = float(np.var(logs, ddof=1) - polygamma(1, halves).mean())
+        # trigamma(x) is about 1 / x + 1 / (2 x^2), which is solved for x = freedom / 2.
+        freedom = MOST_FREEDOM if excess <= 0.0 else (1.0 + np.sqrt(1.0 + 2.0 * excess)) / excess
+        freedom = float(np.clip(freedom, LEAST_FREEDOM, min(MOST_FREEDOM, 2.0 * halves.sum())))
+    log_square += float(digamma(freedom / 2.0) - np.log(freedom / 2.0))
+    return float(np.exp(log_square / 2.0)), freedom
