@@ -307,6 +307,7 @@ def test_a_plane_model_locates_without_heights(tmp_path: Path) -> None:
     ("id,line,sample\na,1,2\n", ["--inverse", "--dem", "no.tif"],
      "no.tif: this file does not exist"),
     ("# crs: EPSG:32640\nid,x,y,z\na,1,2,3\n", [], "declares the CRS EPSG:32640"),
+    ("id,x,y,z\na,270000,3854000,3\n", [], "table.csv, column 'x': feature 'a' with x = 270000"),
     ("id,x,y,z\na,1,x,3\n", [], "line 2, column 'y': 'x' is not a number"),
     ("", [], "the file has no table")])
 def test_project_refuses(text: str, arguments: list[str], message: str, folder: Path,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -314,6 +315,14 @@ def test_a_start_beyond_the_search_is_no_success(place: Any) -> None:
         iterate_lines(place / "image.tif", place / "roads.gpkg", "rpc-drift",
                       {"rpc": str(place / "image.RPB")}, dem=place / "dem.tif", start=far,
                       search=30)
+
+
+def test_a_damaged_rpc_to_start_from_is_named(place: Any, tmp_path: Path) -> None:
+    damaged = tmp_path / "damaged.RPB"
+    damaged.write_text(re.sub(r"lineOffset = [^;]*;", "lineOffset = abc;",
+                              (place / "image.RPB").read_text()))
+    with pytest.raises(TermselError, match="lineOffset is 'abc'"):
+        start_of(damaged, place / "image.tif")
 
 
 def test_an_image_of_one_pixel_shows_no_lines(place: Any) -> None:

@@ -211,6 +211,10 @@ def test_photos_of_one_flight_share_their_camera(tmp_path: Path) -> None:
     done = invoke("flight-camera", *files, "--crs", CRS, "--size", *SIZE, "--focal", "3600", "-o",
                   tmp_path / "camera.json")
     assert done.exit_code == 0, done.stderr
+    other = invoke("flight-camera", *files, "--crs", CRS, "--size", 500, 600, "-o",
+                   tmp_path / "other.json")
+    assert other.exit_code == 2
+    assert "the image has 500 lines and 600 samples, but features extend to" in other.stderr
     camera = json.loads((tmp_path / "camera.json").read_text("utf-8"))
     assert abs(camera["focal"] / FOCAL - 1.0) < max(3.0 * camera["focal_spread"], 0.01)
     assert abs(camera["distortion"][0] + 0.03) < 0.03

@@ -394,6 +394,8 @@ def cameras_of(measured: Measured) -> Cameras:
     costs = np.zeros(len(candidates))
     # Many starts for few steps, then the best for many: most starts lead to the same camera.
     for count, steps in ((_N_STARTS, _FIRST_STEPS), (_N_FURTHER, _STEPS)):
+        if not len(candidates):  # every camera has a point behind it
+            break
         candidates = candidates.take(np.arange(min(count, len(candidates))))
         candidates, costs = measured.descended(candidates,
                                                np.repeat(everything, len(candidates), axis=0),

@@ -81,7 +81,11 @@ def project_table(
                 error.hint = ("These are image positions: add --inverse, with --dem FILE or "
                               "--height H, for ground positions.")
             raise
-        check_ground(FeatureSet(Points(tuple(ids), np.zeros((len(ids), 2)), ground), crs=crs))
+        try:
+            check_ground(FeatureSet(Points(tuple(ids), np.zeros((len(ids), 2)), ground), crs=crs))
+        except TermselError as error:
+            error.file = path
+            raise
         with np.errstate(all="ignore"):
             image = result.project(ground)
         image[~np.isfinite(image)] = np.nan

@@ -27,6 +27,7 @@ from termsel.formats.deviation import places_of as places_of
 from termsel.formats.deviation import say_measured as say_measured
 from termsel.formats.deviation import say_nearest as say_nearest
 from termsel.formats.heights import surface_of as surface_of
+from termsel.formats.image_origin import require_inside as require_inside
 from termsel.formats.readers.table import Table as Table
 from termsel.formats.rpc_files import rpb_text as rpb_text
 from termsel.formats.rpc_files import rpc_items as rpc_items

@@ -27,6 +27,7 @@ from termsel.fitting.accuracy import NSSDA_POINTS as NSSDA_POINTS
 from termsel.fitting.accuracy import distances as distances
 from termsel.fitting.accuracy import nssda as nssda
 from termsel.fitting.accuracy import pixel_on_ground as pixel_on_ground
+from termsel.fitting.extrapolation import FAR_OUTSIDE as FAR_OUTSIDE
 from termsel.fitting.extrapolation import outside as outside
 from termsel.fitting.figures import Rmses as Rmses
 from termsel.fitting.figures import figures as figures

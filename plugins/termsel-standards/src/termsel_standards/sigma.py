@@ -21,7 +21,7 @@ from termsel.toolkit import (
     say_difference,
 )
 from termsel.toolkit.files import MapGrid, accuracy_tags, grid_of_image, map_crs, surface_of
-from termsel.toolkit.models import nearest, outside, require_tiff_name, write_cog
+from termsel.toolkit.models import FAR_OUTSIDE, nearest, outside, require_tiff_name, write_cog
 
 log = logging.getLogger(__name__)
 
@@ -228,6 +228,12 @@ class _Nodes:
         low = known_heights.min()
         high = known_heights.max()
         levels = np.array([low]) if flat or low == high else _axis(low, high, _LEVELS)
+        closest = np.nanmin(outside(control, tested_ground))
+        if FAR_OUTSIDE < closest < np.inf:
+            raise TermselError("all of this map is far outside the control, and the model is not "
+                               "valid there",
+                               hint="Give --bounds in the CRS of the raster, west, south, east and "
+                                    "north.")
         truth = _sigma(result, tested_ground)
         if not np.isfinite(truth).any():
             raise TermselError("the uncertainty of this model is not known anywhere on this map",

@@ -129,7 +129,7 @@ def start_of(named: str | Path | None, image: Path) -> Start | None:
         return start_by_points(read(path), f"the points of {path.name}")
     except TermselError as error:
         # But one that cannot be read.
-        if "holds an RPC" in error.what:
+        if "contains an RPC" in error.what:
             raise reason from error
         if error.what == "the CRS of the ground coordinates is unknown":
             raise TermselError(error.what, file=path, hint="Write it above the header of the file, "
