@@ -179,6 +179,18 @@ def test_the_exif_of_an_image_says_the_camera(tmp_path: Path) -> None:
     assert stated.focal == 3500.0
 
 
+@pytest.mark.parametrize("down", [88.0, 35.0])
+def test_blunders_are_judged_by_the_camera(down: float) -> None:
+    """A cubic polynomial follows an oblique view of hills too badly to tell a blunder."""
+    control, ground, image = photo(22, down=down, seed=3, camera_focal=FOCAL)
+    measured = control.points.image.copy()
+    measured[[4, 13, 17]] += [[25.0, -14.0], [-9.0, 18.0], [40.0, 30.0]]
+    wrong = control.with_(points=replace(control.points, image=measured))
+    result = termsel.run(features=wrong)
+    assert {outlier.id for outlier in result.outliers} == {"P4", "P13", "P17"}
+    assert rmse(result.fit, ground, image) < 1.5
+
+
 def test_the_method_keeps_the_rules() -> None:
     for check in checks(KNOWN_CAMERA, features=[photo(10, camera_focal=FOCAL)[0], photo(3)[0]]):
         check.run()

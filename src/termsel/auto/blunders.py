@@ -181,8 +181,11 @@ def _by_projection(control: FitData, auto: Auto,
     if len(control.features.lines):
         return None
     choice = auto.choose(control.take(used), with_contained=False)
-    # Only where a central projection is chosen, and its camera is found.
-    if choice is None or not choice.method.central or choice.chosen.view is None:
+    if choice is None:
+        return None
+    # A central projection is one only where its camera is found.
+    found = choice.method.central and choice.chosen.view is not None
+    if not (found or choice.method.judges_blunders):
         return None
     projection = choice.method
 

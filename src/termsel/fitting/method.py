@@ -96,6 +96,9 @@ class Method(ABC):
     central : bool
         Whether it is a central projection, as whole images may be: two standard errors are then
         enough for it in place of three.
+    judges_blunders : bool
+        Whether blunders are judged by it where it is chosen, as by a central projection: by what
+        it leaves of each point, and how well the others predict it.
     from_one : bool
         Whether one feature is enough, as the method knows what features do not determine. Then
         two or three are not taken for a model that they determine exactly.
@@ -131,6 +134,7 @@ class Method(ABC):
     only_shown: bool = False
     on_request: bool = False
     central: bool = False
+    judges_blunders: bool = False
     from_one: bool = False
     max_features: float = np.inf
 

@@ -229,4 +229,4 @@ def is_mirrored(control: FitData) -> bool:
 
 KNOWN_CAMERA = KnownCamera("known-camera", "a frame camera of known focal length",
                            short="known camera", estimator=ByKnownCamera(), has_prior=True,
-                           from_one=True)
+                           judges_blunders=True, from_one=True)
