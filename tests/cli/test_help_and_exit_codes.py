@@ -251,7 +251,7 @@ def test_describe_tells_terms_of_models_and_defaults_of_problems(call, built_in)
 def test_describe_tells_options_of_the_solver_and_of_others(call):
     shown = call("describe", "zakaryaie-2015").stdout
     assert re.search(r"^Solver: +ica --set population=100 ", shown, re.MULTILINE)
-    assert re.search(r"^With ga: +--set population=50$", shown, re.MULTILINE)
+    assert re.search(r"^With ga: +--set population=50\b", shown, re.MULTILINE)
     assert re.search(r"^With pso: +--set population=30$", shown, re.MULTILINE)
     assert "With ica:" not in shown
 

@@ -194,7 +194,7 @@ def test_a_good_rpc_stays_as_it_is() -> None:
     features = scene(2, 0)
     result = termsel.run(features=features)
     assert off(result, features, 0) < 0.3
-    assert "call for no correction" in result.strategy.reason  # type: ignore[union-attr]
+    assert "support no correction" in result.strategy.reason  # type: ignore[union-attr]
 
 
 def test_what_is_not_known_at_the_corners_is_said_and_true() -> None:
