@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from termsel.adjustment.compiled import compiled
-from termsel.data.coordinates.crs import horizontal
+from termsel.data.coordinates.crs import horizontal, is_geographic
 from termsel.data.coordinates.longitudes import nearest
 from termsel.data.features import FloatArray
 from termsel.fitting.fit import Fit
@@ -172,7 +172,12 @@ class MapPositions:
     def _ground(self, pixels: FloatArray, transform: Any) -> FloatArray:
         """Return x and y in the CRS of the control of lines and samples (n, 2) of a tile."""
         x, y = transform @ (pixels[:, 1], pixels[:, 0])
-        return np.stack(self._to_ground.transform(x, y), axis=1)
+        ground = np.stack(self._to_ground.transform(x, y), axis=1)
+        if is_geographic(self.fitted.control.crs):
+            # By whole turns next to the image, which may lie across 180 degrees.
+            lon = self.footprint[:, 0]
+            ground[:, 0] = nearest(ground[:, 0], float(np.nanmin(lon) + np.nanmax(lon)) / 2)
+        return ground
 
     @cached_property
     def _to_ground(self) -> Any:
