@@ -226,7 +226,7 @@ def test_photos_of_one_flight_share_their_camera(tmp_path: Path) -> None:
     other = invoke("flight-camera", *files, "--crs", CRS, "--size", 500, 600, "-o",
                    tmp_path / "other.json")
     assert other.exit_code == 2
-    assert "the image has 500 lines and 600 samples, but features extend to" in other.stderr
+    assert "0.csv: the image has 500 lines and 600 samples" in other.stderr
     camera = json.loads((tmp_path / "camera.json").read_text("utf-8"))
     assert abs(camera["focal"] / FOCAL - 1.0) < max(3.0 * camera["focal_spread"], 0.01)
     assert abs(camera["distortion"][0] + 0.03) < 0.03

@@ -173,7 +173,7 @@ def agreement(control: FitData) -> BoolArray | None:
 
 def _by_projection(control: FitData, auto: Auto,
                    used: BoolArray) -> tuple[BoolArray, Test] | None:
-    """Judge all points by a central projection, where those in use call for one; None else.
+    """Judge all points by a central projection or a known camera, if the choice is one; else None.
 
     Polynomials follow an oblique view so badly that what they leave hides blunders, and makes sound
     points look like some.

@@ -57,7 +57,8 @@ class Spread:
     --------
     >>> import termsel
     >>> fitted = termsel.fit(termsel.simulate_scene("spot-isfahan"), "affine")
-    >>> fitted.estimator.spread(fitted, fitted.control.points.ground).variance.shape
+    >>> places = fitted.scaling.ground(fitted.control.points.ground)
+    >>> fitted.estimator.spread(fitted, places).variance.shape
     (12, 2)
     """
 

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from termsel import FeatureSet, read
+from termsel import FeatureSet, TermselError, read
 from termsel.toolkit import LOCAL, echo, print_table, say_written, write_text
+from termsel.toolkit.files import require_inside
 
 if TYPE_CHECKING:
     from termsel_photos.sheets.series_file import Series
@@ -86,6 +87,17 @@ def _say_paper(series: Series) -> None:
          f"{paper.noise:.3g} px.")
 
 
+def _read_photo(photo: Path, crs: str | None, size: tuple[int, int]) -> FeatureSet:
+    """Return the points of a photo, all of which must lie in it."""
+    features = read(photo, crs=crs)
+    try:
+        require_inside(features, size, photo)
+    except TermselError as error:
+        error.hint = f"{error.hint} The size is that of --size, lines first."
+        raise
+    return features
+
+
 @click.command("flight-camera")
 @click.argument("photos", nargs=-1, required=True, type=_PATH, metavar="PHOTOS...")
 @click.option("--crs", metavar="CRS", help="CRS of the points of all photos.")
@@ -111,7 +123,8 @@ def flight_camera(photos: tuple[Path, ...], crs: str | None, size: tuple[int, in
 
     from termsel_photos.known.sharing import shared_camera
 
-    camera = shared_camera([read(photo, crs=crs) for photo in photos], size, focal)
+    read_photos = [_read_photo(photo, crs, size) for photo in photos]
+    camera = shared_camera(read_photos, size, focal)
     content = {"focal": round(camera.focal, 3), "focal_spread": round(camera.spread, 6),
                "distortion": [round(camera.k1, 8)],
                "source": f"{camera.photos} photos, {camera.points} control points"}

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from termsel import FeatureSet, FitData, TermselError
-from termsel.toolkit.files import require_inside
 from termsel.toolkit.models import Measured, Pinhole, camera_next_to, camera_of
 from termsel_photos.known.interior import REACH, Interior
 from termsel_photos.known.lens import FloatArray
@@ -90,12 +89,6 @@ def shared_camera(photos: Sequence[FeatureSet], size: tuple[int, int],
     if not data:
         raise TermselError(f"no photo has {MIN_POINTS_OF_PHOTO} control points with heights",
                            hint="Measure more points, and give them heights.")
-    for photo in data:
-        try:
-            require_inside(photo.features, size, None)
-        except TermselError as error:
-            error.hint = "Give the size in lines and samples, in this order, for all photos."
-            raise
     flight = _Flight(data)
     longer = float(max(size))
     ends = (SHORTEST_FOCAL * longer, LONGEST_FOCAL * longer)

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import digamma, polygamma
 
-from termsel import FeatureSet, FitData, TermselError
+from termsel import FeatureSet, FitData, Scaling, TermselError
 from termsel.toolkit import FloatArray
 
 NAMES = ("scale", "turn", "stretch", "shear")
@@ -115,7 +115,7 @@ def sheet_of(features: FeatureSet) -> Sheet | None:
     count = len(points)
     if count < MIN_POINTS_OF_PAPER or len(features.lines):
         return None
-    plan = plan_of(features)
+    plan = plan_of(features, FitData.of(features).scaling)
     columns = np.column_stack([np.ones(count), plan - plan.mean(axis=0)])
     measured = upright(points.image)
     if np.linalg.matrix_rank(columns / np.linalg.norm(columns, axis=0), 1e-6) < 3:
@@ -134,9 +134,8 @@ def sheet_of(features: FeatureSet) -> Sheet | None:
                  marks_of(features))
 
 
-def plan_of(features: FeatureSet) -> FloatArray:
-    """Return x and y of points (n, 2) in the CRS of the fit."""
-    scaling = FitData.of(features).scaling
+def plan_of(features: FeatureSet, scaling: Scaling) -> FloatArray:
+    """Return x and y of points (n, 2) in the CRS of the fit, which the scaling is of."""
     scaled = scaling.ground(features.points.ground)[:, :2]
     return np.asarray(scaled * scaling.ground_scale[:2] + scaling.ground_offset[:2])
 

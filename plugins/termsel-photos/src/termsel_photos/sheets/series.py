@@ -30,6 +30,7 @@ from termsel_photos.sheets.paper import (
     TURN,
     Paper,
     matrix_of,
+    plan_of,
     rotation_by,
     upright,
     wrapped,
@@ -121,7 +122,7 @@ class BySeries(Estimator):
         assert isinstance(model, SeriesSheet)
         in_use = control.take(used)
         posterior, middle = self._posterior(model, in_use, scaling)
-        plan, measured = _plan(in_use, scaling), upright(in_use.points.image)
+        plan, measured = plan_of(in_use, scaling), upright(in_use.points.image)
         errors = np.empty_like(measured)
         for i in range(len(measured)):
             others = np.arange(len(measured)) != i
@@ -142,7 +143,7 @@ class BySeries(Estimator):
     def _posterior(self, model: SeriesSheet, in_use: FeatureSet,
                    scaling: Scaling) -> tuple[_Posterior, FloatArray]:
         """Return the sheet by its points, and the middle of these on the ground."""
-        plan = _plan(in_use, scaling)
+        plan = plan_of(in_use, scaling)
         middle = plan.mean(axis=0)
         return posterior_of(model.paper, plan - middle, upright(in_use.points.image)), middle
 
@@ -250,12 +251,6 @@ def _slopes(values: FloatArray, plan: FloatArray) -> FloatArray:
         slopes[..., 2 + i] = rotated @ derivative.T
     slopes[..., 4:] = np.eye(2)
     return slopes
-
-
-def _plan(features: FeatureSet, scaling: Scaling) -> FloatArray:
-    """Return x and y (n, 2) in the CRS of the fit."""
-    scaled = scaling.ground(features.points.ground)[:, :2]
-    return np.asarray(scaled * scaling.ground_scale[:2] + scaling.ground_offset[:2])
 
 
 def _coefficients(values: FloatArray, middle: FloatArray, scaling: Scaling) -> FloatArray:

@@ -15,8 +15,6 @@ from termsel.toolkit import normalise, read_text
 from termsel_photos.sheets.paper import NAMES, Paper, Sheet, marks_of, paper_of, sheet_of
 from termsel_photos.sheets.series import with_paper
 
-MAX_SHEETS = 10_000
-
 
 @dataclass(frozen=True)
 class Series:
@@ -68,7 +66,7 @@ def read_series(path: Path | str) -> Series:
     """
     try:
         content = json.loads(read_text(Path(path)))
-        sheets = tuple(_sheet(item) for item in content["sheets"][:MAX_SHEETS])
+        sheets = tuple(_sheet(item) for item in content["sheets"])
         projection = str(content["projection"])
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise TermselError(
