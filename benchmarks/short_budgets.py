@@ -39,8 +39,8 @@ FEWER_SEEDS = {
     ("fast-ea", 16_000): 3,
     ("nevergrad", 4_000): 3, ("nevergrad", 16_000): 1,
     ("nevergrad-fast", 500): 5, ("nevergrad-fast", 4_000): 2, ("nevergrad-fast", 16_000): 0,
-    ("optuna", 500): 2, ("optuna", 4_000): 0, ("optuna", 16_000): 0,
-    ("optuna-nsga2", 500): 3, ("optuna-nsga2", 4_000): 1, ("optuna-nsga2", 16_000): 0}
+    ("optuna", 500): 5, ("optuna", 4_000): 0, ("optuna", 16_000): 0,
+    ("optuna-nsga2", 500): 10, ("optuna-nsga2", 4_000): 2, ("optuna-nsga2", 16_000): 0}
 """Most seeds of methods that take long for each evaluation."""
 
 OWN_ENVIRONMENT = {"nevergrad": "nevergrad==1.0.12", "nevergrad-fast": "nevergrad==1.0.12",

@@ -75,7 +75,7 @@ def test_what_a_recipe_does_not_declare_is_described() -> None:
     assert describe._undeclared(_recipe("both")) == []
 
 
-@pytest.mark.parametrize("name", ["rfm-terms", "owdis-points"])
+@pytest.mark.parametrize("name", ["rfm-terms", "owdis-points", "yavari-2018"])
 def test_several_objectives_need_no_solver(name: str) -> None:
     task = termsel.prepare(name, options={"objectives": "n_terms"})
     assert task.solver.name == "nsga2"

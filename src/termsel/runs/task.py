@@ -314,8 +314,10 @@ def _built(request: Request, inputs: ProblemData) -> Problem:
     # A value given for an option that is searched would be overwritten in silence.
     if isinstance(problem, ParameterProblem):
         _refuse_searched(request, problem)
-    # Both steps search the same problem.
-    for solver in filter(None, (request.solver, request.then)):
+    # Both steps search the same problem. Of several objectives there are no two steps, which the
+    # search says; whoever searches the problem otherwise needs none.
+    then = request.then if len(problem.objectives) == 1 else None
+    for solver in filter(None, (request.solver, then)):
         require_able(problem, solver, lambda: [
             entry.object for entry in registry().entries("solvers")])
     return problem
