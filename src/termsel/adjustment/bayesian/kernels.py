@@ -40,12 +40,36 @@ class SplineColumns:
         affine = _affine_columns(positions)
         return np.asarray(kernel(positions, self.knots) @ self.root - affine @ self._affine_fit)
 
+    def times(self, positions: FloatArray, coefficients: FloatArray) -> FloatArray:
+        """Return the columns at places times coefficients (k, a), shape (m, a).
+
+        Around knots they are first turned into coefficients of the kernels and of the affine
+        functions that the columns lack: fewer operations than the columns of many places.
+        """
+        kernel_coefficients = coefficients
+        affine_coefficients = np.zeros((3, coefficients.shape[1]))
+        if self.root is not None:
+            kernel_coefficients = self.root @ coefficients
+            affine_coefficients = self._affine_fit @ coefficients
+        values = np.empty((len(positions), coefficients.shape[1]))
+        for batch in batches_of(len(positions)):
+            values[batch] = kernel(positions[batch], self.knots) @ kernel_coefficients
+            values[batch] -= _affine_columns(positions[batch]) @ affine_coefficients
+        return values
+
+    def sums(self, positions: FloatArray, factors: FloatArray) -> FloatArray:
+        """Return the transposed columns at places times factors (m, a) of them, shape (k, a)."""
+        kernel_sums = np.zeros((len(self.knots), factors.shape[1]))
+        for batch in batches_of(len(positions)):
+            kernel_sums += kernel(positions[batch], self.knots).T @ factors[batch]
+        if self.root is None:
+            return kernel_sums
+        affine_sums = _affine_columns(positions).T @ factors
+        return np.asarray(self.root.T @ kernel_sums - self._affine_fit.T @ affine_sums)
+
     def coefficients(self, positions: FloatArray, w: FloatArray) -> FloatArray:
         """Return the coefficients of the columns by the kernels' weights (n, 2) at the points."""
-        if self.root is None:
-            return w
-        return np.asarray(sum(self(positions[batch]).T @ w[batch]
-                              for batch in batches_of(len(positions))))
+        return w if self.root is None else self.sums(positions, w)
 
     def variance(self, ground: FloatArray, columns: FloatArray, point_columns: FloatArray,
                  positions: FloatArray, smoothing: float, w: FloatArray) -> FloatArray:

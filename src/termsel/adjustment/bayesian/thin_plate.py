@@ -120,11 +120,7 @@ class ThinPlates:
 
     def _field(self, ground: FloatArray) -> FloatArray:
         """Return the field at places, shape (m, 2)."""
-        positions = ground[:, :2] * self.units
-        image = np.empty((len(ground), 2))
-        for batch in batches_of(len(ground)):
-            image[batch] = self.field_columns(positions[batch]) @ self._coefficients
-        return image
+        return self.field_columns.times(ground[:, :2] * self.units, self._coefficients)
 
     @cached_property
     def _affine_coefficients(self) -> FloatArray:
@@ -179,25 +175,14 @@ class _Basis:
 
     values: FloatArray  # (k,)
     q: FloatArray  # (n, f): an orthonormal basis of the affine functions
-    rows: Callable[[slice], FloatArray]  # (m, c): what spans the eigenvectors, at some points
-    # (c, k): from these to the eigenvectors; None where they are the eigenvectors.
-    to_eigenvectors: FloatArray | None
+    eigenvectors: Callable[[slice], FloatArray]  # (m, k): at some points
+    # From vectors (n, a) that no affine function fits to what they are along the eigenvectors.
+    along: Callable[[FloatArray], FloatArray]
 
     @property
     def n_null(self) -> int:
         """Dimensions in which the kernels are 0."""
         return int(len(self.q) - self.q.shape[1] - len(self.values))
-
-    def u(self, batch: slice) -> FloatArray:
-        """Return the eigenvectors at some points, (m, k)."""
-        if self.to_eigenvectors is None:
-            return self.rows(batch)
-        return np.asarray(self.rows(batch) @ self.to_eigenvectors)
-
-    def along(self, free: FloatArray) -> FloatArray:
-        """Return what vectors (n, a) that no affine function fits are along the eigenvectors."""
-        sums = sum(self.rows(batch).T @ free[batch] for batch in batches_of(len(free)))
-        return np.asarray(sums if self.to_eigenvectors is None else self.to_eigenvectors.T @ sums)
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,32 +227,51 @@ def _basis(lead: FloatArray, positions: FloatArray, weights: FloatArray,
             (1.0 - (q**2).sum(axis=1)).min() < TOLERANCE:
         return None
     if field_columns.root is None:
-        # Every point has a kernel. On what affine functions leave the kernels are positive: that
-        # is what the last n - f rows and columns of Q' K Q are, of the complete Q.
-        reflections = _Reflections.of(lead)
-        kernels = field_columns(positions) * np.outer(weights, weights)
-        free = reflections.transposed(reflections.transposed(kernels).T)[f:, f:]
-        values, vectors = np.linalg.eigh(free)
-        u = reflections(np.vstack([np.zeros((f, n - f)), vectors]))
-        # Rounding makes values of points at one place a little negative.
-        return _Basis(np.maximum(values, TOLERANCE**2 * values.max(initial=0.0)), q,
-                      lambda batch: np.asarray(u[batch]), None)
+        return _basis_of_all(lead, q, field_columns(positions) * np.outer(weights, weights))
+    return _basis_of_knots(q, positions, weights, field_columns)
 
-    def weighted(batch: slice) -> FloatArray:
-        return np.asarray(field_columns(positions[batch]) * weights[batch, None])
 
-    affine = np.asarray(sum(q[batch].T @ weighted(batch) for batch in batches_of(n)))
+def _basis_of_all(lead: FloatArray, q: FloatArray, kernels: FloatArray) -> _Basis:
+    """Return the eigenvectors where every point has a kernel (n, n)."""
+    n, f = lead.shape
+    # On what affine functions leave the kernels are positive: that is what the last n - f rows and
+    # columns of Q' K Q are, of the complete Q.
+    reflections = _Reflections.of(lead)
+    free = reflections.transposed(reflections.transposed(kernels).T)[f:, f:]
+    values, vectors = np.linalg.eigh(free)
+    u = reflections(np.vstack([np.zeros((f, n - f)), vectors]))
+    # Rounding makes values of points at one place a little negative.
+    positive_values = np.maximum(values, TOLERANCE**2 * values.max(initial=0.0))
+    return _Basis(positive_values, q, lambda batch: np.asarray(u[batch]),
+                  lambda vectors: np.asarray(u.T @ vectors))
 
-    def rows(batch: slice) -> FloatArray:
-        return np.asarray(weighted(batch) - q[batch] @ affine)
 
+def _basis_of_knots(q: FloatArray, positions: FloatArray, weights: FloatArray,
+                    field_columns: SplineColumns) -> _Basis:
+    """Return the eigenvectors where the columns around knots span the field.
+
+    With F = W C - q q' W C, of the columns C and the weights W, they are F V / sqrt(values) of the
+    eigenvectors V of F' F. What has few columns is never multiplied by C itself: its kernels take
+    the coefficients (see `SplineColumns.times`).
+    """
+    affine = field_columns.sums(positions, q * weights[:, None]).T  # q' W C, (f, c)
     products = np.zeros((affine.shape[1],) * 2)
-    for batch in batches_of(n):
-        batch_rows = rows(batch)
-        products += batch_rows.T @ batch_rows
+    for batch in batches_of(len(q)):
+        rows = field_columns(positions[batch]) * weights[batch, None] - q[batch] @ affine
+        products += rows.T @ rows
     values, vectors = np.linalg.eigh(products)
     large = values > EIGENVALUE_JITTER * values.max()
-    return _Basis(values[large], q, rows, vectors[:, large] / np.sqrt(values[large]))
+    to_eigenvectors = vectors[:, large] / np.sqrt(values[large])
+
+    def eigenvectors(batch: slice) -> FloatArray:
+        columns = field_columns.times(positions[batch], to_eigenvectors) * weights[batch, None]
+        return np.asarray(columns - q[batch] @ (affine @ to_eigenvectors))
+
+    def along(free: FloatArray) -> FloatArray:
+        return np.asarray(
+            to_eigenvectors.T @ field_columns.sums(positions, free * weights[:, None]))
+
+    return _Basis(values[large], q, eigenvectors, along)
 
 
 def _axes(basis: _Basis, targets: FloatArray, smoothings: FloatArray,
@@ -285,7 +289,7 @@ def _axes(basis: _Basis, targets: FloatArray, smoothings: FloatArray,
     n = len(targets)
     axes = [AxisSpline(choice.best, np.empty(n), np.empty(n), np.empty(n)) for choice in choices]
     for batch in batches_of(n):
-        eigenvectors = basis.u(batch)
+        eigenvectors = basis.eigenvectors(batch)
         null_diagonal = np.maximum(
             1.0 - (basis.q[batch]**2).sum(axis=1) - (eigenvectors**2).sum(axis=1), 0.0)
         null_part = free[batch] - eigenvectors @ projections
