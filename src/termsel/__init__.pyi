@@ -34,6 +34,7 @@ from .fitting.method import Method as Method
 from .fitting.method import Suspects as Suspects
 from .fitting.population import Fits as Fits
 from .fitting.rpc_fit import rpc_of as rpc_of
+from .fitting.uncertainty import Experience as Experience
 from .fitting.uncertainty import Spread as Spread
 from .formats.base import Reader as Reader
 from .formats.base import Writer as Writer

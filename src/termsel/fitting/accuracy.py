@@ -33,7 +33,7 @@ from termsel.fitting.fit import Fit
 from termsel.fitting.next_places import share_left
 from termsel.fitting.normality import chances_if_normal
 from termsel.fitting.residuals import freedom_of
-from termsel.fitting.uncertainty import shared_variance
+from termsel.fitting.uncertainty import Experience, shared_variance
 
 LATTICE_RATIO = 1 / 3
 """Least part that an error between lines of a lattice is of that between lines twice as far apart;
@@ -53,6 +53,8 @@ PIXEL_POINTS = 100
 
 MIN_AXIS_RATIO = 0.6
 """Least ratio of the RMSE of x and y for which NSSDA has a figure."""
+
+NO_EXPERIENCE = Experience(0.0, 0)
 
 
 def ce90(errors: FloatArray) -> FloatArray:
@@ -81,13 +83,14 @@ def ce90(errors: FloatArray) -> FloatArray:
 
 
 def predicted_rmse(errors: FloatArray, effective: float, points: int,
-                   shared: float | None = None) -> Predicted:
+                   shared: float | None = None,
+                   experience: Experience = NO_EXPERIENCE) -> Predicted:
     """Return the RMSE that held-out errors predict, with an interval.
 
     Errors [px] (n, 2) are of points under choices made without them, `effective` the parameters of
     both axes together, `points` the number of independent points, and `shared` the relative
     variance of the mean square error that all places have in common; by default that of as many
-    equally uncertain coefficients as are effective.
+    equally uncertain coefficients as are effective. Experience counts next to the redundancy.
 
     No constant says how large the uncertainties of its logarithm are.
     """
@@ -96,8 +99,9 @@ def predicted_rmse(errors: FloatArray, effective: float, points: int,
     rmse = float(np.sqrt((errors**2).sum(axis=1).mean()))
     if freedom is None:
         return Predicted(rmse, rmse, rmse, points=points or None)
-    spread = 2 * n / freedom  # relative variance of a squared distance
-    redundancy = max(2 * n - effective, 2.0)
+    # Relative variance of a squared distance. Few errors hardly show that their tails are long.
+    spread = max(2 * n / freedom, experience.spread)
+    redundancy = max(2 * n - effective + experience.freedom, 2.0)
     shared = effective / 2 / n**2 if shared is None else shared
     quantile = t_quantile((1 + CONFIDENCE) / 2, redundancy)
     # Of a mean of so many squares, of those held out and of those to come; and what all places have
@@ -118,9 +122,13 @@ def predicted_by(fitted: Fit, errors: FloatArray, points: int,
     With the ground (m, 3) of the points, it is that at their heights, unlike the control's or not.
     """
     in_use = fitted.control.take(fitted.used)
-    shared = shared_variance(fitted.model, fitted.scaling.features(in_use))
-    errors = _with_experience(fitted, _errors_with_all_points(fitted, errors))
-    at_control = predicted_rmse(errors, fitted.effective, points, shared)
+    experience = fitted.estimator.experience(fitted)
+    if experience is None or not errors.any():
+        shared = shared_variance(fitted.model, fitted.scaling.features(in_use))
+        at_control = predicted_rmse(_errors_with_all_points(fitted, errors), fitted.effective,
+                                    points, shared)
+    else:
+        at_control = _predicted_with_experience(fitted, errors, points, experience)
     height_square = 0.0
     if ground is not None:
         height_square = _square_of_unlike_heights(fitted, in_use, ground)
@@ -174,21 +182,54 @@ def _errors_with_all_points(fitted: Fit, errors: FloatArray) -> FloatArray:
     return np.asarray(errors * np.sqrt(1.0 - np.minimum(leverage, MAX_LEVERAGE)**2))
 
 
-def _with_experience(fitted: Fit, errors: FloatArray) -> FloatArray:
-    """Return held-out errors whose RMSE is also by what was known before them.
+def _predicted_with_experience(fitted: Fit, errors: FloatArray, points: int,
+                               experience: Experience) -> Predicted:
+    """Return the RMSE that held-out errors and what was known before them predict.
 
-    Its logarithm is that of both, each by its degrees of freedom: a camera of four points is hardly
-    determined without one of them, so that their errors alone say little. The interval stays that
-    of the errors: how points are usually measured does not tell how these are.
+    Its logarithm is that of both, each by its degrees of freedom. Those of held-out errors are of
+    fits with one point less: a camera of three points has none, and its errors say nothing.
     """
-    expected = fitted.estimator.expected_rmse(fitted)
-    rmse = float(np.sqrt((errors**2).sum(axis=1).mean()))
-    if expected is None or rmse == 0.0:
-        return errors
-    expected_rmse, experience = expected
-    redundancy = max(2 * len(errors) - fitted.effective, 0.0)
-    share = experience / (experience + redundancy)
-    return np.asarray(errors * (expected_rmse / rmse)**share)
+    n = len(errors)
+    spread = fitted.estimator.spread(fitted, fitted.scaled_control.take(fitted.used).points.ground)
+    if spread.factors is None:
+        raise TermselError(f"the estimator {fitted.estimator.name!r} has experience, but its spread"
+                           " has no factors",
+                           hint="Report this to the author of the estimator.")
+    noise = float(spread.noise.sum())
+    inside, outside = _squares_of_places(spread.factors, float(spread.noise.mean()))
+    # A new point is less certain than one that the fit has seen, and more than one without which it
+    # was fitted. Of least squares with points at random places, the geometric mean of both is that
+    # of a new one within 1 % (from four points of an affine map on).
+    total = float(np.sqrt((inside + noise) * (outside + noise)))
+    freedom = experience.freedom + max(2 * n - experience.unknowns, 0)
+    # The mean of a variance of v degrees of freedom is v / (v - 2) times its scale.
+    widened = freedom / max(freedom - 2.0, 1.0)
+    expected_square = total * widened * fitted.scaling.image_scale**2
+    held_out_square = float((errors**2).sum(axis=1).mean())
+    redundancy = max(2 * (n - 1) - experience.unknowns, 0)
+    share = experience.freedom / (experience.freedom + redundancy)
+    square_at_new = total / (outside + noise) * held_out_square
+    square = square_at_new**(1.0 - share) * expected_square**share
+    # The sum of squares of normal errors with the covariance C has the mean tr C and the variance
+    # 2 tr C^2, of which noise has no part in common.
+    factors = spread.factors.reshape(-1, spread.factors.shape[2])
+    alike = float(((factors.T @ factors)**2).sum()) / (n * inside)**2
+    shared = 2.0 * alike * ((total - noise) / total)**2
+    return predicted_rmse(errors * np.sqrt(square / held_out_square),
+                          min(fitted.effective, experience.unknowns), points, shared, experience)
+
+
+def _squares_of_places(factors: FloatArray, noise: float) -> tuple[float, float]:
+    """Return the mean square errors at control, with and without the point at each place.
+
+    Factors (n, 2, d) are those of the covariance A of both axes. Without a measurement of the
+    variance s^2 it is A (1 - A / s^2)^-1.
+    """
+    covariances = factors @ factors.transpose(0, 2, 1)
+    leverages = np.minimum(np.linalg.eigvalsh(covariances) / noise, MAX_LEVERAGE)
+    inside = np.einsum("nii->n", covariances).mean()
+    outside = noise * (leverages / (1.0 - leverages)).sum(axis=1).mean()
+    return float(inside), float(outside)
 
 
 def predicted_of_all(fitted: Fit, expected: Predicted, ground: FloatArray) -> Predicted:

@@ -28,7 +28,13 @@ from termsel.data.view import CentralView, view_of
 from termsel.fitting.extrapolation import by_heights
 from termsel.fitting.misfit import Misfit, misfit_of, mixed_misfit
 from termsel.fitting.residuals import Residuals, control_residuals, rmse_of
-from termsel.fitting.uncertainty import Spread, Unexplained, spread_of, unexplained_by
+from termsel.fitting.uncertainty import (
+    Experience,
+    Spread,
+    Unexplained,
+    spread_of,
+    unexplained_by,
+)
 from termsel.models.base import SensorModel
 
 MISFIT_BATCH = 2000
@@ -147,15 +153,8 @@ class Estimator(ABC):
                                hint="Measure more control, or choose a model with fewer terms.")
         return HeldOut.of(np.concatenate(errors), fitted.control.take(fitted.used))
 
-    def expected_rmse(self, fitted: Fit) -> tuple[float, float] | None:
-        """Return the RMSE at new points that is known besides held-out errors, None by default.
-
-        Returns
-        -------
-        tuple of 2 float, optional
-            The RMSE [px] by what was known before the points were measured, and the degrees of
-            freedom that it counts as next to those of the residuals.
-        """
+    def experience(self, fitted: Fit) -> Experience | None:
+        """Return how well its points are known besides held-out errors, None by default."""
         return None
 
     def without_each(self, fitted: Fit) -> Iterator[Fit]:

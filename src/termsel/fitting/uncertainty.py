@@ -67,6 +67,41 @@ class Spread:
     factors: FloatArray | None = None
 
 
+@dataclass(frozen=True)
+class Experience:
+    """How well points are known before they are measured, as an estimator takes it into account.
+
+    Parameters
+    ----------
+    freedom : float
+        Degrees of freedom that it counts as next to residuals.
+    unknowns : int
+        That residuals are less for.
+    tails : float
+        Degrees of freedom of Student's distribution of measurements, infinite of normal ones.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> termsel.Experience(freedom=2.0, unknowns=6, tails=4.0).spread
+    2.0
+    """
+
+    freedom: float
+    unknowns: int
+    tails: float = np.inf
+
+    @property
+    def spread(self) -> float:
+        """Relative variance of a squared distance that tells the scale of measurements as well.
+
+        Of normal errors it is 1. Of Student's with t degrees of freedom in two dimensions a
+        measurement tells t / (t + 4) of what a normal one tells of the scale (Lange, Little and
+        Taylor 1989).
+        """
+        return 1.0 + 4.0 / self.tails
+
+
 def spread_of(model: SensorModel, control: FeatureSet, terms: BoolArray, adjustment: Adjustment,
               ground: FloatArray, image: FloatArray, *, least_squares: bool) -> Spread:
     """Return the mean square errors of what a fit predicts; NaN where there is no redundancy.

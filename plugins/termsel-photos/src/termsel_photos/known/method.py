@@ -10,6 +10,7 @@ import numpy as np
 from termsel import (
     Adjustment,
     Estimator,
+    Experience,
     FeatureSet,
     Fit,
     FitData,
@@ -98,20 +99,10 @@ class ByKnownCamera(Estimator):
         noise = camera.sigma**2 * TAILS / (TAILS - 2.0)
         return Spread((factors**2).sum(axis=2), np.full(2, noise), factors)
 
-    def expected_rmse(self, fitted: Fit) -> tuple[float, float]:
-        """Return the RMSE at new points by how well points are usually measured, and its freedom.
-
-        The variance of a measurement is that of the posterior by usual errors and residuals, which
-        is larger than its scale by v / (v - 2) for v degrees of freedom.
-        """
-        camera = _camera_of(fitted)
-        measured = camera.measured
-        freedom = measured.experience + max(2 * len(measured.image) - measured.unknowns, 0)
-        spread = self.spread(fitted, fitted.scaled_control.take(fitted.used).points.ground)
-        square = float((spread.variance + spread.noise).sum(axis=1).mean())
-        widened = freedom / max(freedom - 2.0, 1.0)
-        return (float(np.sqrt(square * widened)) * fitted.scaling.image_scale,
-                measured.experience)
+    def experience(self, fitted: Fit) -> Experience:
+        """Return how well points of photos are usually measured."""
+        measured = _camera_of(fitted).measured
+        return Experience(measured.experience, measured.unknowns, measured.tails)
 
 
 def _errors_of(model: KnownFrame, camera: Pinhole, image: FloatArray) -> FloatArray:

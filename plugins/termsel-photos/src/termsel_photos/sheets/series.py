@@ -12,6 +12,7 @@ import numpy as np
 from termsel import (
     Adjustment,
     Estimator,
+    Experience,
     FeatureSet,
     Fit,
     FitData,
@@ -159,13 +160,10 @@ class BySeries(Estimator):
         noise = (posterior.sigma / scaling.image_scale) ** 2
         return Spread((factors**2).sum(axis=2), np.full(2, noise), factors)
 
-    def expected_rmse(self, fitted: Fit) -> tuple[float, float]:
-        """Return the RMSE at new points by the noise of the series, and its freedom."""
+    def experience(self, fitted: Fit) -> Experience:
+        """Return how well the noise is known by the series."""
         assert isinstance(fitted.model, SeriesSheet)
-        in_use = fitted.scaled_control.take(fitted.used)
-        spread = self.spread(fitted, in_use.points.ground)
-        square = float((spread.variance + spread.noise).sum(axis=1).mean())
-        return float(np.sqrt(square)) * fitted.scaling.image_scale, fitted.model.paper.freedom
+        return Experience(fitted.model.paper.freedom, UNKNOWNS)
 
 
 def posterior_of(paper: Paper, plan: FloatArray, measured: FloatArray,
