@@ -9,6 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from termsel.adjustment.kernels import needs_compilation
 from termsel.core.errors import TermselError, counted
 from termsel.core.files.atomic import private_folder
@@ -190,9 +192,9 @@ def estimate(study: Path | str | Mapping[str, Any] | None = None, **keys: Any
              ) -> Iterator[tuple[tuple[str, ...], int, float | None, str]]:
     """Yield each kind of cell: its labels, its number, seconds of one, and why that failed.
 
-    Arguments as for `compare`. Seconds are the mean of up to `TIMED` cells, with few, middling and
-    many features; None if one of them failed. The first of all is run twice, unless it takes
-    `LONG_CELL_SECONDS`.
+    Arguments as for `compare`. Cells with the fewest, middling and most features are run, and the
+    time of the others is interpolated: seconds are the mean of all, None if none of them ended. The
+    first is run twice, unless it takes `LONG_CELL_SECONDS`.
     """
     spec, folder = asked(study, keys)
     # Before anything is run: the first cell would otherwise count the compilation.
@@ -203,28 +205,43 @@ def estimate(study: Path | str | Mapping[str, Any] | None = None, **keys: Any
     for kind, cells in kinds.items():
         works, features = works_of(cells)
         if not works:
-            yield kind, len(cells), None, cells[0].data.reason
+            yield kind, len(cells), None, _reasons(cells)
             continue
-        sample = _of_all_sizes(works, features)
+        sizes = [len(features[cell.data.key]) for cell in works]
+        sample = _of_all_sizes(works, sizes)
         records = [do(cell, features[cell.data.key]).record for cell in sample]
         if cold or records[0].figures.get("seconds", LONG_CELL_SECONDS) < LONG_CELL_SECONDS:
             # The first run of a kind also loads or compiles what it needs.
             records[0] = do(sample[0], features[sample[0].data.key]).record
-        seconds = [record.figures.get("seconds") for record in records]
-        measured = [value for value in seconds if value is not None]
-        mean = sum(measured) / len(measured) if len(measured) == len(seconds) else None
-        yield (kind, len(cells), mean,
+        seconds = {len(features[cell.data.key]): record.figures["seconds"]
+                   for cell, record in zip(sample, records, strict=True)
+                   if "seconds" in record.figures}
+        yield (kind, len(cells), _mean_time(sizes, seconds),
                next((record.reason for record in records if record.reason), ""))
 
 
-def _of_all_sizes(cells: list[Cell], features: Mapping[str, FeatureSet]) -> list[Cell]:
-    """Return up to `TIMED` cells of one kind that stand for all, whose images differ in size."""
-    # By the number of features, which decides how long a cell takes.
-    by_size = sorted(cells, key=lambda cell: len(features[cell.data.key]))
-    sizes = {len(features[cell.data.key]) for cell in cells}
-    number = min(TIMED, len(sizes))
-    # The middle cell of each of so many equal parts.
-    return [by_size[(2 * index + 1) * len(by_size) // (2 * number)] for index in range(number)]
+def _reasons(cells: list[Cell]) -> str:
+    """Return why cells cannot run: the first reason, and how many cells have others."""
+    further = len({cell.data.reason for cell in cells}) - 1
+    return cells[0].data.reason + (f" And {counted(further, 'other reason')}." if further else "")
+
+
+def _of_all_sizes(cells: list[Cell], sizes: list[int]) -> list[Cell]:
+    """Return up to `TIMED` cells of one kind: of the fewest features, middling and of the most."""
+    by_size = sorted(range(len(cells)), key=sizes.__getitem__)
+    places = (0, len(cells) // 2, len(cells) - 1)
+    # One of each number of features.
+    chosen = {sizes[by_size[place]]: cells[by_size[place]] for place in places}
+    return list(chosen.values())
+
+
+def _mean_time(sizes: list[int], seconds: Mapping[int, float]) -> float | None:
+    """Return the mean time of cells whose features are so many, by those that were timed."""
+    if not seconds:
+        return None
+    timed = sorted(seconds)
+    times = np.interp(np.log(sizes), np.log(timed), [seconds[size] for size in timed])
+    return float(times.mean())
 
 
 def _begun(stack: ExitStack, folder: Path, current_versions: Mapping[str, str]) -> Journal:
