@@ -358,3 +358,14 @@ def test_without_independent_points_the_prediction_is_stated_and_called_one(
     tags = accuracy_tags(result)
     assert tags["ACCURACY_PREDICTED_BY"].endswith("not an independent test")
     assert "ACCURACY_RMSE_PX" not in tags
+    # Of several results, one that nothing tells the accuracy of keeps no other from its statement.
+    folder = tmp_path / "several"
+    (folder / "images").mkdir(parents=True)
+    (tmp_path / "out").rename(folder / "images" / "a")
+    ground = scene.points.ground[:2] * [1.0, 1.0, np.nan]
+    two = replace(scene.points.take([0, 1]), ground=ground)
+    termsel.run(features=termsel.FeatureSet(two, crs=scene.crs), out=folder / "images" / "b")
+    done = invoke("accuracy", folder, "--json")
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)[0]["rmse"] == result.predicted.rmse
+    assert "not stated: the result has no independent points" in done.stderr

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING
@@ -53,6 +53,7 @@ def accuracy(source: Path, survey_sigma: float | None, survey_sigma_z: float | N
 
     stated: list[Statements | PredictedStatement]
     # A folder with a result is not a table, nor is its result.json.
+    is_one = True
     if source.is_file() and source.suffix != ".json":
         errors = read_errors(source)
         surveyed = errors.surveyed(survey_sigma, survey_sigma_z)
@@ -60,16 +61,39 @@ def accuracy(source: Path, survey_sigma: float | None, survey_sigma_z: float | N
         took = "which must have taken"
     else:
         took = "which took"
-        stated = []
-        for result in _results_of(source):
-            predicted = _predicted_only(result)
-            stated.append(predicted or statements_of(
-                errors_of(result).surveyed(survey_sigma, survey_sigma_z), horizontal, vertical))
+
+        def state(result: Result) -> Statements | PredictedStatement:
+            return _predicted_only(result) or statements_of(
+                errors_of(result).surveyed(survey_sigma, survey_sigma_z), horizontal, vertical)
+
+        results = _results_of(source)
+        is_one = len(results) == 1
+        stated = _stated_of_all(results, state)
     if as_json:
-        content = stated[0] if len(stated) == 1 else stated
+        content = stated[0] if is_one else stated
         click.echo(msgspec.json.format(msgspec.json.encode(content), indent=2))
         return
     click.echo("\n\n\n".join("\n".join(_lines_of(statement, took)) for statement in stated))
+
+
+def _stated_of_all(results: list[Result],
+                   state: Callable[[Result], Statements | PredictedStatement],
+                   ) -> list[Statements | PredictedStatement]:
+    """Return the statements on results; of several, those without one are named on stderr."""
+    from termsel import TermselError
+
+    stated = []
+    for result in results:
+        try:
+            stated.append(state(result))
+        except TermselError as error:
+            if len(results) == 1:
+                raise
+            click.echo(f"{result.data.source}: not stated: {error.what}.", err=True)
+    if not stated:
+        raise TermselError("nothing tells the accuracy of any of these results",
+                           hint="Measure further points and give them the role independent.")
+    return stated
 
 
 def _results_of(folder: Path) -> list[Result]:
