@@ -169,9 +169,9 @@ def test_what_cannot_be_rectified_is_refused(folder: Path, result: Path, tmp_pat
             ([scene, "-o", out, "--dem", dem, "--res", "10", "--crs", "EPSG:32639", "--nodata",
               "nan"], "uint8 cannot have the value nan"),
             ([str(tmp_path / "text.tif"), "-o", out, "--dem", dem],
-             "no raster of a format that termsel opens"),
+             "this is a file of text, not a raster"),
             ([scene, "-o", out, "--dem", str(tmp_path / "text.tif")],
-             "no raster of a format that termsel opens"),
+             "this is a file of text, not a raster"),
             ([scene, "-o", out, "--dem", scene], "not georeferenced")):
         done = CliRunner().invoke(cli, ["rectify", str(result), *arguments])
         assert done.exit_code == 2, (arguments, done.output)

@@ -284,12 +284,12 @@ def test_plugins_are_listed_with_what_is_wrong(call, with_plugins):
 
 @pytest.mark.parametrize(("args", "message"), [
     (["lits", "models"], "Error: unknown command 'lits'. Did you mean 'list'? Known: "),
-    (["list", "cameras"], "'cameras' is not one of 'problems', 'models'"),
-    (["list", "model"], "'writers'. Did you mean 'models'?"),
+    (["list", "cameras"], "KIND is 'cameras', expected problems, models, "),
+    (["list", "model"], "or writers. Did you mean 'models'?"),
     (["new-plugin", "mine", "--kind", "modle"], "kind of plugin 'modle'. Did you mean 'model'?"),
-    (["--colour"], "No such option"),
+    (["--colour"], "there is no option --colour."),
     (["describe", "rfn"], "Error: unknown name 'rfn'. Did you mean 'rfm'? Known: "),
-    (["completion", "tcsh"], "'tcsh' is not one of 'bash', 'zsh', 'fish'"),
+    (["completion", "tcsh"], "'tcsh', expected bash, zsh or fish."),
 ])
 def test_what_the_user_can_correct_is_one_message_and_exit_code_2(call, built_in, args, message):
     done = call(*args)

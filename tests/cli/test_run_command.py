@@ -167,7 +167,8 @@ BAD_FILES = {
         "id"),
     "three points for 39 terms": (
         lambda f, t: some_points(f, t, 3),
-        "only 1 control point; rfm-terms needs at least 3."),
+        "only 1 control point, next to 1 selection point and 1 independent check point; "
+        "rfm-terms needs at least 3."),
     "all points on one line": (
         straight_line, "all control features lie on one straight line on the ground. Add control "
         "away from that line: a model needs an area."),
@@ -239,9 +240,9 @@ BAD_WORDS = {
     "unknown data set": (["--problem", "rfm-terms", "--dataset", "hamedan"],
                          "unknown data set 'hamedan'. Did you mean 'ikonos-hamedan'? Known: "),
     "negative seed": (["--problem", "rfm-terms", "--seed", "-1"],
-                      "Invalid value for '--seed': -1 is not in the range 0<=x<="),
+                      "--seed is -1, expected a whole number of at least 0."),
     "no generations": (["--problem", "rfm-terms", "--generations", "0"],
-                       "Invalid value for '--generations': 0 is not in the range 1<=x<="),
+                       "--generations is 0, expected a whole number of at least 1."),
     "nothing to run": ([], "there is nothing to run. Give --points FILE or --lines FILE, or "),
     "off without a feature": (["--problem", "poly-terms", "--off", "P001,P999"],
                               "--off names the feature 'P999', which the files do not have."),

@@ -33,7 +33,7 @@ def file(folder: Path, rows: str = ROWS) -> Path:
 def test_all_points_at_one_place_are_named_at_once(tmp_path: Path) -> None:
     with pytest.raises(TermselError) as caught:
         termsel.read(file(tmp_path))
-    assert caught.value.what == ("points 'a' and 'b', 'c' and 'd' and 'e', 'g' and 'h' each have "
+    assert caught.value.what == ("points 'a' and 'b'; 'c', 'd' and 'e'; 'g' and 'h' each have "
                                  "the same ground coordinates")
     assert caught.value.line == 4
     assert "--set repeated=average" in (caught.value.hint or "")

@@ -135,6 +135,7 @@ def test_points_without_a_height_are_all_named(tmp_path: Path) -> None:
     assert "3 of 5 features are outside the raster or in areas without data: p1, p2, p3." \
         in str(caught.value)
     assert str(path) in str(caught.value)
+    assert "The raster covers x 500000 to 500200, y 5000100 to 5000400" in str(caught.value)
 
 
 @pytest.mark.parametrize(("raster", "ground", "datum"), [
@@ -164,7 +165,7 @@ def test_rasters_that_are_no_dem(tmp_path: Path) -> None:
     fathoms = dem(tmp_path / "fathoms.tif", planar(5, 5), units=("fathom",))
     broken = tmp_path / "broken.tif"
     broken.write_bytes(good.read_bytes()[:60])
-    for path, crs, words in [(no_crs, "EPSG:32631", "not georeferenced"),
+    for path, crs, words in [(no_crs, "EPSG:32631", "no CRS. State it: gdal_edit"),
                              (fathoms, "EPSG:32631", "is in fathom"),
                              (good, "local", "only to ground coordinates with a CRS"),
                              (broken, "EPSG:32631", "GDAL cannot read"),

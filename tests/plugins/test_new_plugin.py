@@ -93,7 +93,7 @@ def test_all_marks_are_filled_in(kind: str) -> None:
     ("json", "model", "Python already has a module 'json'"),
     ("two words", "model", "'two words' cannot be the name of a package.* such as two-words"),
     ("../up", "model", "cannot be the name of a package.* such as up"),
-    ("-x", "model", "No such option"),
+    ("-x", "model", "there is no option -x"),
     ("class", "model", "'class' cannot be the name of a package.* such as termsel-demo"),
     ("termsel", "model", "the name of termsel itself"),
     ("1st", "reader", "cannot be the name of a package")])

@@ -203,27 +203,27 @@ def _nested(depth: int) -> dict[str, Any]:
     ({"data": None}, "this result is damaged"),
     ({"data": {"crs": "EPSG:1"}}, r"result\.json: CRS 'EPSG:1' does not exist"),
     ({"data": {"image_size": "ab"}},
-     r"damaged at \$\.data\.image_size: expected `array \| null`, got `str`"),
-    ({"rmse": {"check": {"total": 1.0, "n": 3}}}, r"damaged at \$\.rmse\.check: .* `line`"),
+     r"damaged: data.image_size is text, expected a list or null"),
+    ({"rmse": {"check": {"total": 1.0, "n": 3}}}, r"damaged: rmse.check lacks 'line'"),
     ({"accuracy": {"image": {"n": 4, "line": 1.0, "sample": 1.0, "total": 1.0, "ce90": 1.0,
                              "maximum": float("inf")}}},
-     r"damaged at \$\.accuracy\.image\.maximum: expected `float`"),
+     r"damaged: accuracy.image.maximum is .*, expected a number"),
     # Python 3.13 and later goes deep enough to see the type.
     ({"lookups": 10**6}, "there are more lookups than evaluations"),
     ({"rmse": {role: {"line": 1.0, "sample": 1.0, "total": -2.0, "n": 3}
                for role in ("control", "check", "independent")}},
-     r"damaged at \$\.rmse\.control\.total: expected `float` >= 0\.0"),
+     r"damaged: rmse.control.total is not a number >= 0.0"),
     ({"options": _nested(600)},
-     r"this result is damaged(: it is nested too deeply| at \$\.options\.problem)"),
+     r"this result is damaged: (it is nested too deeply|options\.problem)"),
     ({"fit": {"estimator": "magic", "options": {}, "effective": None, "held_out": None,
               "features": None}}, "unknown estimator 'magic'"),
     ({"fit": {"estimator": "least-squares", "options": {"steps": 3}, "effective": None,
               "held_out": None, "features": None}}, "cannot be made with the options"),
     ({"fit": {"estimator": "averaging", "options": {}, "effective": 3.0, "held_out": [[0.0, 1.0]],
-              "features": None}}, r"\$\.fit\.held_out: 1 errors, expected \d+"),
-    ({"precision": 1.0}, r"damaged at \$: object contains unknown field `precision`"),
+              "features": None}}, r"fit\.held_out: 1 errors, expected \d+"),
+    ({"precision": 1.0}, r"damaged: the file has 'precision', which is not known"),
     ({"precision": 1.0, "versions": {"termsel": "0.1.0.dev7"}},
-     r"this result is damaged, or of development code \(0\.1\.0\.dev7\), at \$: object contains")])
+     r"this result is damaged, or of development code \(0\.1\.0\.dev7\): the file has 'precision\'")])
 def test_damaged_records_are_refused(change: dict[str, object], message: str, tmp_path: Path,
                                      ) -> None:
     write_result(example_results()[0], tmp_path)

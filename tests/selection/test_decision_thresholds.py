@@ -313,10 +313,11 @@ def test_the_knee_is_below_the_line_between_the_ends() -> None:
 @pytest.mark.parametrize(("n_control", "n_check", "message"), [
     (3, 2, None),
     (3, 1, "only 1 selection point (role check); the criterion check-rmse needs at least 2. "
-           "Give more points the role check: they choose among selections. The criterion "
-           "press needs none (--criterion press)."),
-    (2, 2, "only 2 control points; owdis-points needs at least 3. Measure more, or "
-           "give more features the role control. --criterion press needs no selection points.")])
+           "Give more points the role check: they choose among selections. Or choose by "
+           "leave-one-out, without selection points: --criterion press."),
+    (2, 2, "only 2 control points, next to 2 selection points and 10 independent check points; "
+           "owdis-points needs at least 3. Measure more, or give more features the role "
+           "control. Or choose by leave-one-out, without selection points: --criterion press.")])
 def test_how_many_points_a_search_needs(n_control: int, n_check: int, message: str | None) -> None:
     roles = ("control",) * n_control + ("check",) * n_check
     away = photograph(0.2, 14).points.take(np.arange(13, -1, -1))  # no corners, which are in line

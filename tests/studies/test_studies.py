@@ -227,7 +227,7 @@ def test_the_time_of_a_cell_is_that_without_compilation(monkeypatch: pytest.Monk
 def test_options_have_the_limits_of_the_study_file(option: str, call: Call, tmp_path: Path) -> None:
     done = call("compare", "--problem", "poly-terms", option, 100_001, "--dry-run")
     assert done.exit_code == 2
-    assert "100000" in done.stderr
+    assert "at most 100,000" in done.stderr
 
 
 def test_options_of_every_search_may_stand_next_to_a_solver() -> None:

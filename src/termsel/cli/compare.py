@@ -16,6 +16,7 @@ from termsel.cli.options.shared import progress_option, remote_option
 from termsel.cli.tables import print_table
 from termsel.cli.topics import Whole
 from termsel.core.errors import TermselError, counted, printable
+from termsel.core.files.names import no_such_file
 from termsel.core.interrupts import INTERRUPTED
 from termsel.core.options import MOST_RUNS
 
@@ -113,8 +114,7 @@ def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: 
     study, keys = _asked(files, options)
     # The name first: what the file holds is read later, when its cells are made.
     if study is not None and not study.exists():
-        raise TermselError("this file does not exist", file=study,
-                           hint="Check the name and the folder.")
+        raise no_such_file(study)
     if dry_run:
         _show_plan(study, keys, workers)
         return

@@ -7,16 +7,13 @@ Exit codes: 0 done; 2 the user can correct it; 1 a bug in termsel; 130 interrupt
 from __future__ import annotations
 
 import errno
-import io
 import os
-import re
 import shlex
 import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from copy import copy
-from difflib import get_close_matches
 from importlib import import_module
 from importlib.util import find_spec
 from itertools import chain
@@ -25,6 +22,7 @@ from typing import Any, NoReturn
 import click
 
 from termsel.cli.messages import echo, give_back_stdout, stdout, take_stdout
+from termsel.cli.usage import usage_message
 from termsel.core.errors import TermselError, cut, is_printable, unknown_name
 from termsel.core.interrupts import INTERRUPTED, answered
 from termsel.core.version import __version__
@@ -163,19 +161,22 @@ class Commands(click.Group):
             for line in _suggested(sys.argv[1:] if args is None else args, error):
                 echo(line, err=True)
             sys.exit(CORRECTABLE)
-        except click.MissingParameter as error:
-            echo(_missing(error), err=True)
-            sys.exit(CORRECTABLE)
         except click.ClickException as error:
-            page = io.StringIO()
-            error.show(page)
-            echo(cut(page.getvalue().rstrip() + _near(error), 2000), err=True)
+            if isinstance(error, click.UsageError) and error.ctx is None:
+                error.ctx = self._context_of(sys.argv[1:] if args is None else args)
+            echo(cut(usage_message(error), 2000), err=True)
             sys.exit(CORRECTABLE)
         except (click.Abort, KeyboardInterrupt):
             answered()
             echo("Interrupted.", err=True)
             sys.exit(INTERRUPTED)
         sys.exit(value if isinstance(value, int) else 0)
+
+    def _context_of(self, words: Sequence[str]) -> click.Context | None:
+        """Return the context of the command that words begin with: click's parser knows none."""
+        parent = click.Context(self, info_name="termsel")
+        command = self.get_command(parent, words[0]) if words else None
+        return command and click.Context(command, parent=parent, info_name=words[0])
 
 
 def _too_large(error: MemoryError) -> TermselError:
@@ -223,38 +224,6 @@ def _refuse_repeated(command: click.Command, words: list[str]) -> None:
         if times > 1 and isinstance(option, click.Option) and not (
                 option.multiple or option.is_flag or option.count):
             raise click.UsageError(f"{option.opts[0]} is given {times} times; it takes one value.")
-
-
-def _missing(error: click.MissingParameter) -> str:
-    """Return which option or argument is missing, what it is, and an example of the command."""
-    param = error.param
-    if param is None or error.ctx is None:
-        return f"Error: {error.format_message()}"
-    name = param.metavar or param.human_readable_name
-    about = ""
-    if isinstance(param, click.Option):
-        name = f"{param.opts[0]} {param.metavar or ''}".strip()
-        first = (param.help or "").partition(". ")[0].rstrip(".")
-        about = f": {first[:1].lower()}{first[1:]}" if first else ""
-    lines = [f"Error: {name} is missing{about}."]
-    path = error.ctx.command_path
-    examples = [line.strip().removesuffix("\\").rstrip()
-                for line in (error.ctx.command.help or "").splitlines()
-                if line.strip().startswith(f"{path} ")]
-    if examples:
-        lines.append(f"For example: {examples[0]}")
-    return "\n".join([*lines, f"All options: {path} --help"])
-
-
-def _near(error: click.ClickException) -> str:
-    """Return a question for the word that was meant where there is a choice of words."""
-    kind = getattr(getattr(error, "param", None), "type", None)
-    typed = re.match(r"'([^']+)' is not", error.message)
-    if not isinstance(kind, click.Choice) or typed is None:
-        return ""
-    # click says which words there are; that one of them was nearly met is added.
-    near = get_close_matches(typed[1], list(map(str, kind.choices)), n=1)
-    return f" Did you mean {near[0]!r}?" if near else ""
 
 
 def _printing_alone(command: click.Command) -> click.Command:

@@ -74,7 +74,8 @@ def new_plugin(name: str, kind: str, parent: Path) -> None:
         raise TermselError("this folder exists, and nothing in it is replaced", file=folder,
                            hint="Choose another NAME, or another folder with --into.") from error
     except OSError as error:
-        raise TermselError(f"cannot write: {error.strerror}", file=folder) from error
+        raise TermselError(f"cannot write: {error.strerror}", file=folder,
+                           hint="Choose a folder that is writable: --into DIR.") from error
     say_written(folder / file for file in texts)
     # Without the dot pip asks an index.
     shown_folder = folder if folder.is_absolute() else f"./{folder}"

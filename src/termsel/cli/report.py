@@ -8,7 +8,7 @@ import click
 
 from termsel.cli.messages import refuse_stdout, say_written, show_messages
 from termsel.cli.options.shared import remote_option
-from termsel.core.errors import TermselError
+from termsel.core.errors import TermselError, first_of
 
 REPORT = "report.html"
 
@@ -42,16 +42,18 @@ def report(folder: Path, output: Path | None, image: str | None, overwrite: bool
 
     from termsel.core.files.atomic import write_text
     from termsel.io.replacing import require_replaceable
-    from termsel.io.result_folder import files_of_result, read_result
+    from termsel.io.result_folder import files_of_result, read_result, results_within
     from termsel.studies.cells.folder import PLAN, read_study
     from termsel.studies.cells.images import IMAGES
     from termsel.studies.outputs import page as study_page
 
     is_study = (folder / PLAN).is_file()
     if not is_study and not any(map(is_there, files_of_result(folder))):
+        inner = results_within(folder)
+        one_of_them = f" Or one of these within it: {first_of(inner, 3)}." if inner else ""
         raise TermselError("there is neither a result nor a study in this folder", file=folder,
                            hint="Give the folder that termsel run or termsel compare wrote with "
-                                "--out.")
+                                f"--out.{one_of_them}")
     # A page must not replace what it is made of.
     study_files = [folder / PLAN, folder / JOURNAL, *(folder / IMAGES).glob("*")]
     require_replaceable([output], reads=[folder, image, *study_files], overwrite=overwrite)

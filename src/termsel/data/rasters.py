@@ -24,7 +24,13 @@ from termsel.core.files.drivers import (
     raster_drivers,
     without_exceptions,
 )
-from termsel.core.files.names import is_there, refuse_grids, refuse_pipe, utf8_name
+from termsel.core.files.names import (
+    is_there,
+    no_such_file,
+    refuse_grids,
+    refuse_pipe,
+    utf8_name,
+)
 from termsel.core.files.sources import (
     REMOTE_HINT,
     is_single_file,
@@ -45,6 +51,9 @@ SMALL = 2**28
 _DENSEST = 500
 """Bytes of pixels that a byte of a file may hold; images have fewer, but some compressors can more.
 """
+
+_UNREADABLE_PIXELS = re.compile(r"IReadBlock failed|TIFFReadEncoded|TIFFFillStrip|TIFFFillTile")
+"""What GDAL says where a file ends before its pixels do, or they are damaged."""
 
 _BYTES = {"complex_int16": "complex64"}
 """Types of rasterio that NumPy has not."""
@@ -264,14 +273,16 @@ def refuse_empty_giant(raster: Any) -> None:
 def _unreadable(path: Path | str, reason: str) -> TermselError:
     """Return the error for a raster that GDAL cannot read."""
     if not is_there(Path(path)) and not str(path).startswith("/vsi"):
-        return TermselError("this file does not exist", file=path,
-                            hint="Check the name and the folder.")
+        return no_such_file(path)
     if "not recognized as being in a supported file format" in reason:
         try:
             head = Path(path).read_bytes() if Path(path).stat().st_size < 4096 else b""
         except OSError:
             head = b""
         return refused_format(path, head)
+    if _UNREADABLE_PIXELS.search(reason):
+        return TermselError("the pixels of this raster cannot be read: it is incomplete or damaged",
+                            file=path, hint="Copy or download it again.")
     hint = REMOTE_HINT if NO_PROXY_EXISTS in reason else "Is it complete, and an image?"
     return TermselError(f"GDAL cannot read this raster: {reason}", file=path, hint=hint)
 

@@ -19,7 +19,9 @@ MAX_ID = 200
 """Characters of an id."""
 
 _MAX_NAMED = 8
-"""Points and places that a message names."""
+"""Places that a message names."""
+_MAX_IN_PLACE = 3
+"""Points of one place that a message names."""
 
 _CORRECT = "Correct the values or remove the feature."
 
@@ -96,13 +98,15 @@ def places_in_words(ids: Sequence[str], groups: Sequence[Sequence[int]]) -> str:
     """Return which points have the same ground coordinates, given the rows of each place."""
     named = []
     for rows in groups[:_MAX_NAMED]:
-        names = " and ".join(repr(ids[row]) for row in rows[:_MAX_NAMED])
-        surplus = f" and {len(rows) - _MAX_NAMED} more" if len(rows) > _MAX_NAMED else ""
-        named.append(f"{names}{surplus}")
-    unnamed = f", and those of {len(groups) - _MAX_NAMED} more positions" \
+        # Three of a place show which it is.
+        listed = [repr(ids[row]) for row in rows[:_MAX_IN_PLACE]]
+        surplus = [f"{len(rows) - _MAX_IN_PLACE} more"] if len(rows) > _MAX_IN_PLACE else []
+        *first, last = [*listed, *surplus]
+        named.append(f"{', '.join(first)} and {last}")
+    unnamed = f"; and those of {len(groups) - _MAX_NAMED} more positions" \
         if len(groups) > _MAX_NAMED else ""
     each_group = " each" if len(groups) > 1 else ""
-    return f"points {', '.join(named)}{unnamed}{each_group} have the same ground coordinates"
+    return f"points {'; '.join(named)}{unnamed}{each_group} have the same ground coordinates"
 
 
 def check_segments(ground: FloatArray, ids: Sequence[str]) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from termsel.core.errors import TermselError, first_of
 from termsel.core.files.atomic import private_folder
-from termsel.core.files.names import is_open_pipe, is_there, refuse_pipe
+from termsel.core.files.names import is_open_pipe, is_there, no_such_file, refuse_pipe
 from termsel.core.isolation.arrays import returns
 from termsel.core.isolation.calls import Check
 from termsel.core.options import Configurable, Option
@@ -256,7 +256,8 @@ def read_text(path: Path) -> str:
     if is_utf16(data):
         raise utf16_error(path)
     if b"\0" in data:
-        raise TermselError("this file is binary, expected UTF-8 text", file=path)
+        raise TermselError("this file is binary, expected UTF-8 text", file=path,
+                           hint="Give a file of text, or save it as such.")
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -300,7 +301,9 @@ def parse_json(text: str, hint: str) -> Any:
 def read_head(path: Path, expected: str) -> bytes:
     """Return the first 64 KiB of a file; `expected` is a sentence that says what it should be."""
     if is_there(path) and path.is_dir():
-        raise TermselError("this is a folder, expected a file", file=path, hint=expected)
+        raise TermselError("this is a folder, expected a file", file=path,
+                           hint=f"{expected} Of many images, a file each: termsel compare "
+                                f"--points '{path}/*.csv' --out DIR.")
     refuse_pipe(path)
     try:
         with path.open("rb") as file:
@@ -345,8 +348,7 @@ def read_once(path: Path) -> Iterator[Path]:
 
 def _unreadable(path: Path, error: OSError) -> TermselError:
     if isinstance(error, FileNotFoundError):
-        return TermselError("this file does not exist", file=path,
-                            hint="Check the name and the folder.")
+        return no_such_file(path)
     return TermselError(f"cannot read this file: {error.strerror or error}", file=path,
                         hint="Give a file that you may read.")
 

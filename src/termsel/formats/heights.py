@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,7 +16,7 @@ from termsel.data.coordinates.crs import LOCAL, to_wgs84
 from termsel.data.coordinates.longitudes import nearest
 from termsel.data.coordinates.metres import height_unit
 from termsel.data.dem_difference import DemDifference, dem_difference
-from termsel.data.features import FeatureSet, FloatArray
+from termsel.data.features import BoolArray, FeatureSet, FloatArray
 from termsel.data.rasters import open_raster, positions, refuse_empty_giant
 from termsel.formats.vertical import (
     Heights,
@@ -34,6 +34,7 @@ Projection = Callable[[FloatArray], FloatArray]
 _TILE = 256  # largest number of pixels read at once along either side
 _AROUND = 2  # further pixels on each side of a part
 _NODATA = -1e10
+_HEIGHT_TYPES = ("int16", "int32", "float32", "float64")
 _PLACED = "Give a raster in a geographic or projected CRS of the Earth."
 
 
@@ -65,13 +66,7 @@ class Dem:
 
     def __call__(self, xy: FloatArray) -> FloatArray:
         """Return heights, shape (n,), of x and y, shape (n, 2); NaN where there are none."""
-        x, y = self.to_raster.transform(*np.asarray(xy, dtype=np.float64).T)
-        if self.turns:
-            # Longitudes may count from -180 or from 0, so that the one nearest to the raster is
-            # meant.
-            x = nearest(np.asarray(x), (self.raster.bounds.left + self.raster.bounds.right) / 2)
-        x = np.asarray(x)
-        y = np.asarray(y)
+        x, y = self._raster_xy(xy)
         return self.converted(x, y, self._interpolated(x, y))
 
     def converted(self, x: FloatArray, y: FloatArray, heights: FloatArray) -> FloatArray:
@@ -82,6 +77,30 @@ class Dem:
         if self.to_datum is not None:
             metres = self.to_datum(np.column_stack([x, y, metres]))
         return np.asarray(metres / height_unit(self.crs))
+
+    def covers(self, xy: FloatArray) -> BoolArray:
+        """Return which of x and y, shape (n, 2), lie on the raster, with or without data."""
+        x, y = self._raster_xy(xy)
+        position = positions(self.raster, x, y)
+        inside = (position >= -0.5) & (position <= np.array(self.raster.shape) - 0.5)
+        return np.asarray(inside.all(axis=1))
+
+    def extent(self) -> FloatArray:
+        """Return the corners (2, 2) of the raster, the lower-left first, as ground coordinates."""
+        bounds = self.raster.bounds
+        x, y = self.to_raster.transform([bounds.left, bounds.right, bounds.left, bounds.right],
+                                        [bounds.bottom, bounds.bottom, bounds.top, bounds.top],
+                                        direction="INVERSE")
+        return np.array([[min(x), min(y)], [max(x), max(y)]])
+
+    def _raster_xy(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return x and y of the raster's CRS."""
+        x, y = self.to_raster.transform(*np.asarray(xy, dtype=np.float64).T)
+        if self.turns:
+            # Longitudes may count from -180 or from 0, so that the one nearest to the raster is
+            # meant.
+            x = nearest(np.asarray(x), (self.raster.bounds.left + self.raster.bounds.right) / 2)
+        return np.asarray(x), np.asarray(y)
 
     def _interpolated(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Return the raster's own heights at its x and y."""
@@ -146,6 +165,21 @@ def _bilinear(pixels: FloatArray, first: Any, share: FloatArray) -> FloatArray:
     return heights
 
 
+def looks_like_heights(path: Path) -> bool:
+    """Return whether a raster looks like a DEM: one georeferenced band of int16, int32 or floats.
+
+    An image that is to be georeferenced has no place on the ground yet, or an RPC or points.
+    """
+    try:
+        with open_raster(path) as raster:
+            has_place = raster.crs is not None and not raster.transform.is_identity
+            has_model = raster.rpcs is not None or bool(raster.gcps[0])
+            kind = raster.dtypes[0]
+            return has_place and not has_model and raster.count == 1 and kind in _HEIGHT_TYPES
+    except TermselError:  # who reads it says why
+        return False
+
+
 @contextmanager
 def open_dem(path: Path, crs: str) -> Iterator[Dem]:
     """Open a raster of heights for ground coordinates in a CRS.
@@ -192,9 +226,7 @@ def open_dem(path: Path, crs: str) -> Iterator[Dem]:
             from pyproj import CRS, Transformer
             from pyproj.exceptions import CRSError, ProjError
         # A raster without georeferencing has the identity, which would put pixels at degrees.
-        if raster.crs is None or raster.transform.is_identity:
-            raise TermselError("this raster is not georeferenced", file=path,
-                               hint="Give a raster with a geotransform and a CRS.")
+        _require_georeferenced(raster, path)
         if raster.count != 1:
             raise TermselError(f"this raster has {raster.count} bands, expected one of heights",
                                file=path, hint="Choose one, for example with gdal_translate -b.")
@@ -216,6 +248,17 @@ def open_dem(path: Path, crs: str) -> Iterator[Dem]:
         datum = said(raster_crs, to_datum is not None, crs)
         yield Dem(path, raster, to_raster, datum, turns=raster_crs.is_geographic, crs=crs,
                   unit=unit, to_datum=to_datum)
+
+
+def _require_georeferenced(raster: Any, path: Path) -> None:
+    """Refuse a raster without a geotransform or a CRS, and say which of them is missing."""
+    has_transform = not raster.transform.is_identity
+    if raster.crs is None and has_transform:
+        raise TermselError("this raster has a geotransform but no CRS", file=path,
+                           hint=f"State it: gdal_edit.py -a_srs EPSG:n {path}, or set it in a GIS.")
+    if not has_transform:
+        raise TermselError("this raster is not georeferenced: it has no geotransform", file=path,
+                           hint="Give a raster of heights from a GIS, such as a GeoTIFF.")
 
 
 def write_ellipsoidal(surface: Dem, path: Path, bounds: tuple[float, float, float, float],
@@ -296,14 +339,15 @@ def with_heights(features: FeatureSet, dem: Path) -> FeatureSet:
         difference = difference_of(features, surface)
         ground[unknown, 2] = surface(ground[unknown, :2])
         datum = surface.datum
-    still_unknown = np.isnan(ground[:, 2])
+        still_unknown = np.isnan(ground[:, 2])
+        is_outside = ~surface.covers(ground[still_unknown, :2])
+        surface_extent = surface.extent()
     if still_unknown.any():
         n = len(features.points)
         owner = features.points.ids + tuple(np.repeat(features.lines.ids, 2))
         names = list(dict.fromkeys(str(owner[i]) for i in np.flatnonzero(still_unknown)))
-        raise TermselError(f"{len(names)} of {len(features)} features are outside the raster or "
-                           f"in areas without data: {first_of(names)}", file=dem, ids=names,
-                           hint="Give a larger raster, fill its holes, or remove these features.")
+        raise _without_heights(names, len(features), ground[still_unknown, :2], surface_extent,
+                               is_outside, dem)
     n = len(features.points)
     statement = (f"{unknown.sum()} of {len(ground)} heights from {printable(dem.name)}, bilinear; "
                  f"vertical datum: {datum}")
@@ -312,3 +356,36 @@ def with_heights(features: FeatureSet, dem: Path) -> FeatureSet:
         features, heights=statement, dem_difference=difference,
         points=replace(features.points, ground=ground[:n]),
         lines=replace(features.lines, ground=ground[n:].reshape(-1, 2, 3)))
+
+
+def _without_heights(names: Sequence[str], total: int, xy: FloatArray, extent: FloatArray,
+                     outside: BoolArray, dem: Path) -> TermselError:
+    """Return the error for features for which a raster has no height, by the reason.
+
+    `xy` are vertices without a height, `outside` which of them are off the raster, `extent` the
+    corners of the raster.
+    """
+    count = f"{len(names)} of {total} features"
+    if not outside.any():
+        return TermselError(f"{count} are in areas without data: {first_of(names)}", file=dem,
+                            ids=names, hint="Fill the holes of the raster, or leave these "
+                                            "features out: --off.")
+    reason = "outside the raster" if outside.all() else \
+        "outside the raster or in areas without data"
+    vertices = np.array([xy.min(axis=0), xy.max(axis=0)])
+    return TermselError(
+        f"{count} are {reason}: {first_of(names)}", file=dem, ids=names,
+        hint=f"The raster covers {_range_in_words(extent)}; these features are at "
+             f"{_range_in_words(vertices)}. Give a raster of their area, or leave them out: --off.")
+
+
+def _range_in_words(corners: FloatArray) -> str:
+    """Return the ranges of x and y between two corners, to four digits of the larger range."""
+    return ", ".join(f"{axis} {low:.10g} to {high:.10g}" for axis, (low, high) in zip(
+        "xy", np.round(corners.T, _decimals(corners)).tolist(), strict=True))
+
+
+def _decimals(corners: FloatArray) -> int:
+    """Return as many decimals as four digits of the smaller side need, and none for metres."""
+    side = float(np.ptp(corners, axis=0).min())
+    return max(0, 3 - int(np.floor(np.log10(side)))) if 0.0 < side < 1e3 else 0

@@ -276,7 +276,8 @@ def _number(text: str, name: str, line: int | None = None) -> float:
     try:
         return float(text.replace("_", "?"))  # Python reads 1_000, no other program does
     except ValueError:
-        hint = "Write a decimal point." if "," in text else None
+        hint = "Write a decimal point." if "," in text else \
+            "Give the file as the vendor delivered it."
         raise TermselError(f"{name} is {text!r}, which is not a number", line=line,
                            hint=hint) from None
 

@@ -47,6 +47,10 @@ def read_toml(file: Path, kind: str, hint: str) -> tuple[dict[str, Any], str]:
         reason, _, position = str(error).rpartition(" (at ")
         numbers = list(map(int, re.findall(r"\d+", position)))
         line, column = numbers if len(numbers) == 2 else (text.count("\n") + 1, None)
+        # A list that never ends is said where it begins, not where the file ends.
+        if reason == "Unclosed array":
+            line, column = _opening(text), None
+            reason = "the list that begins here has no closing bracket"
         twice = _TWICE.match(reason)
         if twice:
             reason = f"the key {twice[1]!r} is stated twice, or [{twice[1]}] stands where " \
@@ -63,6 +67,14 @@ def read_toml(file: Path, kind: str, hint: str) -> tuple[dict[str, Any], str]:
             raise TermselError(f"this is not {kind}: the number of {key!r:.60} has more than 64 "
                                "bits", file=file, hint=hint)
     return table, text
+
+
+def _opening(text: str) -> int:
+    """Return the last line, from 1, that opens more brackets than it closes."""
+    lines = text.splitlines()
+    unclosed = [number for number, line in enumerate(lines, 1)
+                if line.count("[") > line.count("]")]
+    return unclosed[-1] if unclosed else len(lines)
 
 
 def _values(table: Mapping[str, Any], endless: TermselError) -> Iterator[tuple[str, Any]]:

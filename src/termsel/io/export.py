@@ -40,11 +40,12 @@ def _of_others(writer: type[Writer]) -> set[str]:
 def as_exported(result: Result, final: bool | None) -> Result:
     """Return the result with the fit that is exported (see `Result.as_exported`), and say so."""
     if result.final is not None and final is False:
-        log.info("Exporting the fit without independent check points.")
+        log.info("Used: the fit without the independent check points.")
     elif result.final is not None:
         control = result.final.control
-        log.info("Exporting the refit to all %d %s; the accuracy refers to the fit without "
-                 "independent check points (--no-final).", len(control), control.word)
+        log.info("Used: the fit to all %d %s. The RMSE stated is of the fit without the "
+                 "independent check points; --no-final uses that one.", len(control),
+                 control.word)
     return result.as_exported(final)
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from termsel.core.errors import TermselError
+from termsel.core.files.reasons import reason_of
 from termsel.data.cog import write_cog
 from termsel.data.distant_rasters import with_dataset
 from termsel.data.features import FloatArray
@@ -241,17 +242,23 @@ def warp(raster: Any, output: Path, grid: MapGrid, spec: MapPixels, *, tags: Map
     **options
         Of GDAL's transformer.
     """
+    from rasterio._err import CPLE_BaseError
+    from rasterio.errors import RasterioError
+
     lost = 0
 
     def pixels(window: Any, transform: Any) -> tuple[Values, Mask]:
         """Return the values of a tile of the map, and where it has any."""
         nonlocal lost
         shape = window.height, window.width
-        if positions is not None:
-            tile, visible = _interpolated(raster, spec, positions.of_tile(shape, transform))
-        else:
-            tile, visible = with_dataset(raster, _warped, spec, shape, grid.crs, transform,
-                                       options)
+        try:
+            if positions is not None:
+                tile, visible = _interpolated(raster, spec, positions.of_tile(shape, transform))
+            else:
+                tile, visible = with_dataset(raster, _warped, spec, shape, grid.crs, transform,
+                                             options)
+        except (RasterioError, CPLE_BaseError) as error:
+            raise _unreadable_source(spec.picture.path, error) from error
         if spec.table:
             opaque = np.ones(max(len(spec.table), int(tile[0].max()) + 1), dtype=bool)
             opaque[:len(spec.table)] = [alpha > 0 for *_, alpha in spec.table]
@@ -269,6 +276,20 @@ def warp(raster: Any, output: Path, grid: MapGrid, spec: MapPixels, *, tags: Map
     if lost:
         log.warning("Warning: %d px of the map have the value %g of --nodata in the image itself; "
                     "they are empty on the map. Give another value, or none.", lost, spec.nodata)
+
+
+def _unreadable_source(image: Path | None, error: Exception) -> TermselError:
+    """Return the error for what could not be warped: the image if it cannot be read, or heights."""
+    # GDAL says only that warping failed. Reading the image alone tells whether it is at fault.
+    if image is not None:
+        try:
+            with open_raster(image) as raster:
+                for _, window in raster.block_windows(1):
+                    raster.read(window=window)
+        except TermselError as unreadable:
+            return unreadable
+    return TermselError(f"GDAL cannot warp this image: {reason_of(error)}", file=image,
+                        hint="Check the raster of heights: is it complete?")
 
 
 def _interpolated(raster: Any, spec: MapPixels, positions: FloatArray) -> tuple[Values, Mask]:

@@ -34,7 +34,7 @@ from termsel.formats.image_origin import (
     require_inside,
     with_image_origin,
 )
-from termsel.formats.readers.advice import unknown_table
+from termsel.formats.readers.advice import EXPECTED, unknown_table
 from termsel.formats.repeated import REPEATED, averaging
 from termsel.formats.rpc_files import has_rpc, size_with_rpc, with_rpc
 from termsel.formats.z_unit import Z_UNIT, with_z_unit
@@ -57,9 +57,6 @@ OF_PACKAGES = "reading"
 
 _NEAR = 0.76
 """Likeness, by difflib: sgima_line and roles are near a name, rule is not."""
-
-_EXPECTED = ("Give a table headed id,role,line,sample,x,y,z, or another format of "
-             "termsel list readers.")
 
 _NOISE = bytes(range(1, 256)) * 4
 """What no reader recognises, unless it recognises anything."""
@@ -275,7 +272,7 @@ def _is_recognised(path: Path, readers: Iterable[type[Reader]]) -> bool:
     """Return whether a file is there and one of the readers recognises it."""
     if not is_there(path) or not path.is_file():
         return False
-    head = read_head(path, _EXPECTED)
+    head = read_head(path, EXPECTED)
     return any(reader().sniff(path, head) for reader in readers)
 
 
@@ -317,7 +314,7 @@ def find_reader(path: Path, readers: Iterable[type[Reader]], format: str | None 
         if of_folder is not None:
             return of_folder
             return of_folder
-    head = read_head(path, _EXPECTED)
+    head = read_head(path, EXPECTED)
     if named:
         return named[0]
     recognising = _recognising(path, head, usable)
@@ -330,15 +327,15 @@ def find_reader(path: Path, readers: Iterable[type[Reader]], format: str | None 
     if is_utf16(head) and _recognising(
             path, head.decode("utf-16", errors="ignore").encode(), usable) is not None:
         raise utf16_error(path)
-    error = unknown_table(path, _EXPECTED, str((options or {}).get("columns", "")))
+    error = unknown_table(path, EXPECTED, str((options or {}).get("columns", "")))
     if error is not None:
         raise error
     binary = b"\0" in head
     rasters = registry().missing("gdal-gcps") if binary or b"<VRTDataset" in head else ""
     raise TermselError(f"this {'binary file' if binary else 'file'} is in no format that termsel "
                        "knows",
-                       file=path, hint=f"{_EXPECTED} If it is a raster with control points, "
-                       f"gdal-gcps reads it. {rasters}" if rasters else _EXPECTED)
+                       file=path, hint=f"{EXPECTED} If it is a raster with control points, "
+                       f"gdal-gcps reads it. {rasters}" if rasters else EXPECTED)
 
 
 def _recognising(path: Path, head: bytes, readers: Sequence[Reader]) -> Reader | None:

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from itertools import product
 from pathlib import Path
 
-from termsel.core.errors import TermselError
+from termsel.core.errors import TermselError, first_of
 from termsel.core.files.atomic import encoded, private_folder, put_in_place, sync
 from termsel.core.files.lock import locked
 from termsel.core.files.names import (
@@ -197,8 +197,7 @@ def read_result(folder: Path | str) -> Result:
     """
     path = _place(Path(folder), RECORD)
     if not is_there(path):
-        raise TermselError("there is no result here", file=path,
-                           hint="Give the folder of a run, as in termsel run --out DIR.")
+        raise _no_result(Path(folder), path)
     try:
         content = parse_json(read_text(path), AGAIN)
         record = record_from(content)
@@ -218,6 +217,24 @@ def read_result(folder: Path | str) -> Result:
     # The file that was read is named where nothing nearer is.
     except TermselError as error:
         raise (error if error.file is not None else located(error, path)) from error
+
+
+def results_within(folder: Path) -> list[str]:
+    """Return the folders of results within a folder, such as those of a block or a study."""
+    found = {*folder.glob(f"*/{RECORD}"), *folder.glob(f"*/*/{RECORD}")}
+    return sorted(str(result.parent) for result in found)
+
+
+def _no_result(folder: Path, path: Path) -> TermselError:
+    """Return the error for a folder without a result; of a block or a study it names some inside.
+    """
+    # A block has a folder for each image, a study one within `images`.
+    names = results_within(folder)
+    if names:
+        return TermselError("there is no result here, but in folders within it", file=folder,
+                            hint=f"Give one of them: {first_of(names, 3)}.")
+    return TermselError("there is no result here", file=path,
+                        hint="Give the folder of a run, as in termsel run --out DIR.")
 
 
 def _read_features(folder: Path, record: Record) -> FeatureSet:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -40,17 +41,42 @@ def record_from(content: Any) -> Record:
         raise TermselError("this result is damaged: it is nested too deeply", hint=AGAIN) from None
     except (ValidationError, UnicodeEncodeError) as error:  # keys may be no text at all
         # The message of the decoder ends with the key, as "$.rmse.control".
-        problem, _, key = str(error).partition(" - at ")
-        location = key.strip("`") or "$"
-        raise TermselError(f"this result is damaged{_or_of_another(content)} at {location}: "
-                           f"{problem[0].lower()}{problem[1:]}", hint=AGAIN) from error
+        raise TermselError(f"this result is damaged{_or_of_another(content)}: "
+                           f"{_in_words(str(error))}", hint=AGAIN) from error
+
+
+_KINDS_OF_JSON = {"int": "a whole number", "float": "a number", "str": "text",
+                  "bool": "true or false", "array": "a list", "object": "a table",
+                  "null": "null"}
+
+
+def _in_words(message: str) -> str:
+    """Return what the decoder says of a key, such as "seed is text, expected a whole number"."""
+    # "Expected `int`, got `str` - at `$.seed`", "Object missing required field `x` - at `$.y`".
+    problem, _, key = message.partition(" - at ")
+    location = key.strip("`").removeprefix("$").removeprefix(".") or "the file"
+    kinds = re.fullmatch(r"Expected `([^`]+)`, got `([^`]+)`", problem)
+    if kinds:
+        expected, given = (" or ".join(_KINDS_OF_JSON.get(kind, kind)
+                                       for kind in text.split(" | ")) for text in kinds.groups())
+        return f"{location} is {given}, expected {expected}"
+    missing_key = re.fullmatch(r"Object missing required field `([^`]+)`", problem)
+    if missing_key:
+        return f"{location} lacks {missing_key[1]!r}"
+    unknown = re.fullmatch(r"Object contains unknown field `([^`]+)`", problem)
+    if unknown:
+        return f"{location} has {unknown[1]!r}, which is not known"
+    limit = re.fullmatch(r"Expected `([^`]+)`(.*)", problem)
+    if limit:
+        return f"{location} is not {_KINDS_OF_JSON.get(limit[1], limit[1])}{limit[2]}"
+    return f"{location}: {problem[0].lower()}{problem[1:]}"
 
 
 def _or_of_another(content: dict[str, Any]) -> str:
     """Return that a record may be of development code: its keys changed from day to day."""
     versions = content.get("versions")
     written = str(versions.get("termsel")) if isinstance(versions, dict) else ""
-    return f", or of development code ({printable(written[:40])})," if (
+    return f", or of development code ({printable(written[:40])})" if (
         "dev" in written and written != __version__) else ""
 
 
@@ -107,7 +133,7 @@ def _made_of(features: FeatureSet, points: set[str], ids: tuple[str, ...]) -> Fe
         points=features.points.take([name in points for name in features.points.ids]),
         lines=lines.take([name in ids for name in lines.ids])))
     if not set(chosen_features.ids) <= set(ids):
-        raise TermselError("this result is damaged at $.fit.features: they are not those of the "
+        raise TermselError("this result is damaged at fit.features: they are not those of the "
                            "roles", hint=AGAIN)
     return chosen_features
 

@@ -203,8 +203,10 @@ class Registry:
             package = parts.package_of_name(name)
         if package in ("", *(plugin.distribution for plugin in self._loader.plugins)):
             return ""
-        return (f"It comes with the package {package}, which is not installed. In a clone of "
-                f"termsel: pip install ./plugins/{package}")
+        if parts.is_left_out(package):
+            return f"It comes with the package {package}, which {parts.LEFT_OUT}: unset it."
+        return (f"It comes with the package {package}, which is not installed. "
+                f"{parts.install_hint(package)}")
 
     def observers(self) -> list[Callable[[Progress], None]]:
         """Return the observers of runs that plugins have; one that fails is told, and left out."""

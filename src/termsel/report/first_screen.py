@@ -440,8 +440,11 @@ def _warnings(record: Record) -> list[str]:
     accuracy = record.accuracy
     reused = accuracy is not None and bool(reused_points(accuracy))
     heights = _on_heights(record)
+    read = record.data.read
+    doubt = read.doubt.casefold() if read else ""
     return [*_urgent(record), *(note for note in record.notes if note and not _is_shown(note)
                                 and note != heights
+                                and not (doubt and note.casefold().startswith(doubt))
                                 and not (reused and " no longer independent: " in note))]
 
 

@@ -104,7 +104,7 @@ def fit_of_record(model: SensorModel, control: FeatureSet, scaling: Scaling, use
         in_use = control.take(used)
         errors = np.array(how.held_out).reshape(-1, 2)
         if len(errors) != len(in_use.vertex_feature):
-            raise TermselError(f"this result is damaged at $.fit.held_out: {len(errors)} errors, "
+            raise TermselError(f"this result is damaged at fit.held_out: {len(errors)} errors, "
                                f"expected {len(in_use.vertex_feature)}",
                                hint="Run the search again.")
         held_out = HeldOut.of(errors, in_use)

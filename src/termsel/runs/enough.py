@@ -32,16 +32,17 @@ def require_enough(observations: Observations, recipe: Recipe, criterion: Criter
     check = observations.check
     if len(control) < fewest:
         raise TermselError(
-            f"{_given(control)}; {recipe.name} needs at least {fewest}",
+            f"{_given(control)}{_others(observations)}; {recipe.name} needs at least {fewest}",
             hint="Measure more, or give more features the role control."
-                 + " --criterion press needs no selection points." * criterion.needs_check
+                 + " Or choose by leave-one-out, without selection points: --criterion press."
+                 * criterion.needs_check
                  + CORRECTED * ("rpc" in model.options))
     if criterion.needs_check and len(check) < MIN_CHECK:
         raise TermselError(
             f"{_number(len(check), 'selection point')} (role check); the criterion "
             f"{criterion.name} needs at least {MIN_CHECK}",
-            hint="Give more points the role check: they choose among selections. The criterion "
-                 "press needs none (--criterion press).")
+            hint="Give more points the role check: they choose among selections. Or choose by "
+                 "leave-one-out, without selection points: --criterion press.")
     # The geometry of control matters where nothing else determines the model.
     if fewest == 1:
         return  # what is known of the image makes up for what they do not determine
@@ -66,6 +67,15 @@ def _given(control: FeatureSet) -> str:
     """Return how many control features there are, such as "1 control point"."""
     noun = control.word.removesuffix("s")
     return _number(len(control), f"control {noun}")
+
+
+def _others(observations: Observations) -> str:
+    """Return which points are not control, where some are, such as ", next to 1 selection point".
+    """
+    kinds = ((observations.check, "selection point"),
+             (observations.independent, "independent check point"))
+    others = [counted(len(features), noun) for features, noun in kinds if len(features)]
+    return f", next to {' and '.join(others)}" if others else ""
 
 
 def _number(number: int, noun: str) -> str:

@@ -85,6 +85,8 @@ def described(content: bytes, address: str) -> IiifImage:
                            hint="Give the address of its info.json.")
     size = (info.get("height"), info.get("width"))
     if not all(type(number) is int and 0 < number < 2**31 for number in size):
-        raise TermselError("the description of this image does not state its size", file=address)
+        raise TermselError("the description of this image does not state its size",
+                           file=address,
+                           hint="Save the image at full size, and give that file.")
     return IiifImage({key: info[key] for key in KEPT if key in info}, name,
                      (int(size[0] or 0), int(size[1] or 0)))

@@ -115,9 +115,11 @@ def header_of(folder: Path) -> dict[str, Any]:
         with open(path, "rb", buffering=0, opener=_without_links) as file:
             entries, _ = read_entries(file, path)
     except OSError as error:
-        raise TermselError(f"the session cannot be read: {error.strerror}", file=path) from error
+        raise TermselError(f"the session cannot be read: {error.strerror}", file=path,
+                           hint="Check the permissions of its folder.") from error
     if not entries:
-        raise TermselError("the session is empty", file=path)
+        raise TermselError("the session is empty", file=path,
+                           hint="Remove its folder, or choose another --out.")
     return _header(entries[0], path)
 
 
@@ -130,7 +132,8 @@ def read_entries(file: FileIO, path: Path) -> tuple[list[dict[str, Any]], int]:
     """Return the entries of a journal, and the bytes up to the end of the last that is whole."""
     file.seek(0)
     if os.fstat(file.fileno()).st_size > MAX_JOURNAL_BYTES:
-        raise TermselError("the session is too large to be read", file=path)
+        raise TermselError("the session is too large to be read", file=path,
+                           hint="Export its points, and begin another one: --out DIR.")
     content = file.readall() or b""
     length = content.rfind(b"\n") + 1  # what follows was cut off
     entries = []
@@ -153,7 +156,8 @@ def read_entries(file: FileIO, path: Path) -> tuple[list[dict[str, Any]], int]:
 def _header(entry: dict[str, Any], path: Path) -> dict[str, Any]:
     if entry.get("schema") != SCHEMA:
         raise TermselError(f"this is no session of termsel app: its first line lacks {SCHEMA}",
-                           file=path, line=1)
+                           file=path, line=1,
+                           hint="Give the folder of a session, or choose another --out.")
     return {key: value for key, value in entry.items() if key != "schema"}
 
 
@@ -178,7 +182,8 @@ def replayed(entries: list[dict[str, Any]], path: Path) -> ControlFeatures:
         repeated += len(patches)  # each undo and redo may be of all features
         if len(control) > MAX_FEATURES or repeated > MOST_REPEATED:
             raise TermselError(f"a session has at most {MAX_FEATURES:,} features and "
-                               f"{MOST_REPEATED:,} changes of them", file=path, line=number)
+                               f"{MOST_REPEATED:,} changes of them", file=path, line=number,
+                               hint="Export its points, and begin another one: --out DIR.")
     return control
 
 

@@ -176,7 +176,8 @@ def read_errors(path: Path | str) -> GroundErrors:
     try:
         rows = list(csv.DictReader(read_text(path).splitlines(), restval=""))
     except csv.Error as error:
-        raise TermselError(f"this table cannot be read: {error}", file=path) from None
+        raise TermselError(f"this table cannot be read: {error}", file=path,
+                           hint="Save it again as CSV.") from None
     if not rows or not {"dx", "dy"} <= set(rows[0]):
         raise TermselError("this is no table of errors with the columns dx and dy", file=path,
                            hint="Head it id,dx,dy or id,dx,dy,dz,x,y,sigma_x,sigma_y,sigma_z.")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from termsel.cli.completion import complete
-from termsel.cli.messages import say_written
+from termsel.cli.messages import echo, say_written
 from termsel.cli.options.shared import Command, progress_option, remote_option
 from termsel.cli.report import REPORT
 from termsel.cli.topics import Whole
@@ -334,12 +334,39 @@ def with_files(files: Sequence[Path], arguments: Mapping[str, Any]) -> dict[str,
     for path in files:
         # A table is known by its content, other files by their ending.
         kind = _kind_of(path)
+        if kind == "image" and options["dem"] is None and _holds_heights(path):
+            kind = "dem"
         if options[kind] is not None:
-            raise TermselError(f"{options[kind]} and {path} are both {kind}",
-                               hint="Name each file: --points FILE, --lines FILE, --image FILE, "
-                                    "--rpc FILE, --dem FILE.")
+            raise _two_of_one_kind(kind, options[kind], path)
         options[kind] = path
+    # Of an image alone, the control points are those that it holds.
+    names = ("points", "lines", "areas", "dataset", "problem")
+    if options["image"] is not None and not any(options[name] for name in names) \
+            and arguments["image"] is None:
+        options["points"] = options["image"]
     return options
+
+
+def _two_of_one_kind(kind: str, first: Path, second: Path) -> TermselError:
+    """Return the error for two files of one kind."""
+    hint = "Name each file: --points FILE, --lines FILE, --image FILE, --rpc FILE, --dem FILE."
+    if kind == "points":
+        hint = "Points of one image: join them in one table. Points of two images: termsel " \
+               f"compare --points {shlex.quote(str(first))} {shlex.quote(str(second))} --out DIR."
+    return TermselError(f"{first} and {second} are both {kind}, and a run takes one file of "
+                        f"{kind}" if kind in ("points", "lines") else
+                        f"{first} and {second} are both taken for the {kind}", hint=hint)
+
+
+def _holds_heights(path: Path) -> bool:
+    """Return whether a raster looks like heights rather than like an image, and say so."""
+    from termsel.formats.heights import looks_like_heights
+
+    if not looks_like_heights(path):
+        return False
+    echo(f"Note: {path} is read as heights (--dem): one georeferenced band of signed or decimal "
+         "numbers. If it is the image, give it with --image.", err=True)
+    return True
 
 
 def _kind_of(path: Path) -> str:

@@ -36,6 +36,21 @@ def is_there(path: Path) -> bool:
     return True
 
 
+_ADDRESS = re.compile(r"(https?|ftp|s3|gs):/+", re.IGNORECASE)
+"""How addresses begin; a path of Python has made one slash of two."""
+
+
+def no_such_file(path: Path | str) -> TermselError:
+    """Return the error for a file that is not there, or that is an address on a server."""
+    address = _ADDRESS.match(str(path))
+    if address:
+        shown = f"{address[1]}://{str(path)[address.end():]}"
+        return TermselError("this is an address on a server, and termsel downloads nothing",
+                            file=shown, hint="Download the file, and give its name here.")
+    return TermselError("this file does not exist", file=path,
+                        hint="Check the name and the folder.")
+
+
 def is_open_pipe(path: Path) -> bool:
     """Return whether this is a pipe that the shell has opened: ``<(...)`` or /dev/stdin."""
     return str(path).startswith(("/dev/", "/proc/")) and _kind(path) == stat.S_IFIFO

@@ -7,6 +7,7 @@ next to a file do so, too. Each of them must be a regular file of a format that 
 
 from __future__ import annotations
 
+import codecs
 import gzip
 import os
 import posixpath
@@ -168,14 +169,29 @@ def refused_format(path: object, head: bytes, of: object = None) -> TermselError
     """Return the error for a file of a driver that is off."""
     name = foreign_format(head)
     # What is known is named, so that whoever trusts the file can turn its driver on.
-    reason = (f"this is a raster of the format {name}, which termsel does not open" if name else
-            "this is no raster of a format that termsel opens")
-    hint = "Convert it: gdal_translate FILE map.tif."
+    hint = f"Convert it: gdal_translate {path if len(str(path)) < 100 else 'FILE'} map.tif."
     if name:
+        reason = f"this is a raster of the format {name}, which termsel does not open"
         hint = f"{hint} {DRIVER_HINT.format(name=name)}"
+    elif _is_text(head):
+        reason = "this is a file of text, not a raster"
+        hint = "Give a raster, such as a GeoTIFF. A table of points is given with --points, " \
+               "an RPC with --rpc."
+    else:
+        reason = "this is no raster of a format that termsel opens"
     if of is not None and str(of) != str(path):
         return TermselError(f"it refers to {cut(str(path), 100)!r}: {reason}", file=of, hint=hint)
     return TermselError(reason, file=path, hint=hint)
+
+
+def _is_text(head: bytes) -> bool:
+    """Return whether the first bytes of a file are text without markup: a table, or words."""
+    try:
+        # The last character may be cut.
+        text = codecs.getincrementaldecoder("utf-8-sig")().decode(head[:_HEAD_BYTES])
+    except UnicodeDecodeError:
+        return False
+    return "\0" not in text and text.strip()[:1] not in ("", "<", "{")
 
 
 @dataclass

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cache
+from importlib.metadata import PackageNotFoundError, distribution
 from importlib.resources import files
 from typing import Any
 
@@ -55,8 +57,33 @@ def part(slot: str, purpose: str) -> Any:
 def missing(slot: str, purpose: str) -> TermselError:
     """Return the error that says which package a slot lacks; `purpose` has its verb."""
     package = package_of_name(slot)
+    if is_left_out(package):
+        return TermselError(f"{purpose} the package {package}, which {LEFT_OUT}",
+                            hint="Unset that variable, or name the package in it.")
     return TermselError(f"{purpose} the package {package}, which is not installed",
-                        hint=f"In a clone of termsel: pip install ./plugins/{package}")
+                        hint=install_hint(package))
+
+
+PLUGINS_VARIABLE = "TERMSEL_PLUGINS"
+"""Environment variable that lists the packages whose plugins are used."""
+
+LEFT_OUT = f"is installed, but left out by the variable {PLUGINS_VARIABLE}"
+
+
+def is_left_out(package: str) -> bool:
+    """Return whether a package is installed, and not used since a variable leaves it out."""
+    if os.environ.get(PLUGINS_VARIABLE) is None:
+        return False
+    try:
+        distribution(package)
+    except PackageNotFoundError:
+        return False
+    return True
+
+
+def install_hint(package: str) -> str:
+    """Return how a package of termsel's own is installed."""
+    return f"In a clone of termsel: pip install ./plugins/{package}"
 
 
 @cache

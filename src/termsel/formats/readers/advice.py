@@ -15,6 +15,10 @@ from termsel.data.tables.columns import POINTS, Aliases, declared, matches, pars
 from termsel.data.tables.numbers import COMMA, POINT, BadCell, decimal_signs, read_numbers
 from termsel.formats.readers.cells import WIDEST, BadText, read_cells
 
+EXPECTED = ("Give a table headed id,role,line,sample,x,y,z, or another format of "
+            "termsel list readers.")
+"""What a file of points should be."""
+
 _ROWS = 200
 _BELONGS = 0.9
 """Share of a column's variance that ground explains of an image, or an image of its ground."""
@@ -111,6 +115,8 @@ def unknown_table(path: Path, expected: str, columns: str) -> TermselError | Non
     all_rows = cells.rows[1:] if crs else cells.rows
     rows = [row for row in all_rows[:_ROWS] if len(row) == len(all_rows[-1]) <= WIDEST]
     values = _numbers(rows[1:])
+    if len(rows) >= 2 and rows[0] and (missing := _missing_ground(path, rows[0], expected)):
+        return missing
     if len(rows) < 3 or len(values) < 4:
         return None if path.suffix.lower() not in _SPREADSHEETS else TermselError(
             "no visible sheet has a table of points", file=path, hint=expected)
@@ -126,6 +132,21 @@ def unknown_table(path: Path, expected: str, columns: str) -> TermselError | Non
         unnamed.what += f", and its first line is the CRS {crs}: write it as # crs: {crs}"
     return with_advice(unnamed, header, rows if bare else rows[1:],
                        {**by_name, **declared(header, stated)}, POINTS)
+
+
+def _missing_ground(path: Path, header: Sequence[str], expected: str) -> TermselError | None:
+    """Return the error for a table that has image coordinates or ground coordinates alone."""
+    by_name = matches(header, POINTS)
+    pairs = {"image": ("line", "sample"), "ground": ("x", "y")}
+    absent = {pair: [name for name in names if not by_name[name]] for pair, names in pairs.items()}
+    for present, other in (("image", "ground"), ("ground", "image")):
+        if not absent[present] and len(absent[other]) == 2:
+            names = " and ".join(pairs[other])
+            return TermselError(
+                f"this table has {present} coordinates alone: columns for {names} are missing. Its "
+                f"columns are {', '.join(map(str.strip, header))}", file=path,
+                hint=f"Add the {other} coordinates of each point. {expected}")
+    return None
 
 
 def _crs_of(row: Sequence[str]) -> str:

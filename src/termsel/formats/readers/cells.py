@@ -144,7 +144,8 @@ def decoded(data: bytes, path: Path, *, final: bool = True) -> tuple[str, str]:
             return text, encoding
     # A zero byte is in no text of these encodings but UTF-16.
     if first_error is None or (b"\0" in data and not wide):
-        raise TermselError("this file is binary, expected text or a spreadsheet", file=path)
+        raise TermselError("this file is binary, expected text or a spreadsheet", file=path,
+                           hint="Save it as CSV or as .xlsx.")
     raise BadText(f"the text of this file is not {'UTF-16' if wide else 'UTF-8'}", file=path,
                   line=data[:first_error.start].count(b"\n") + 1,
                   hint="Save it with the encoding UTF-8.")

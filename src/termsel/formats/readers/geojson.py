@@ -84,7 +84,8 @@ def read_geojson(path: Path, kinds: Mapping[str, int]) -> tuple[list[Feature], s
         raise TermselError("this is not a GeoJSON FeatureCollection", file=path,
                            hint='It must have the members "type" and "features".')
     if not collection["features"]:
-        raise TermselError("the collection has no features", file=path)
+        raise TermselError("the collection has no features", file=path,
+                           hint="Export it again with its features.")
     features = [_feature(path, number, item, kinds)
                 for number, item in enumerate(collection["features"], 1)]
     return features, _crs(path, collection.get("crs"))

@@ -31,7 +31,7 @@ from termsel.data.tables.columns import (
 )
 from termsel.data.tables.numbers import COMMA, POINT, BadCell, decimal_signs
 from termsel.formats.base import Reader, located
-from termsel.formats.readers.advice import with_advice, with_both_readings
+from termsel.formats.readers.advice import EXPECTED, with_advice, with_both_readings
 from termsel.formats.readers.cells import (
     Cells,
     found_in,
@@ -218,6 +218,7 @@ def table_of(path: Path | None, cells: Cells, aliases: Aliases, stated: Mapping[
     lines = cells.lines[first + 1:]
     line = cells.lines[first] or None
     if first:
+        _require_rows_below(path, header, rows, line)
         log.info("Note: the header of %s is taken from line %s, below a title.", path, line)
     given_columns = {**cells.fixed, **declared(header, stated)}
     for meaning in stated.keys() - declared(header, stated).keys():
@@ -268,6 +269,16 @@ def table_of(path: Path | None, cells: Cells, aliases: Aliases, stated: Mapping[
                      for text in texts]
         attributes[name] = text_array(texts)
     return replace(table, signs=signs, attributes=attributes)
+
+
+def _require_rows_below(path: Path | None, header: Sequence[str], rows: Sequence[Sequence[str]],
+                        line: int | None) -> None:
+    """Refuse words that name columns in passing, as a README does: no row is below them."""
+    if not any(len(row) >= len(header) and any(any(map(str.isdigit, cell)) for cell in row)
+               for row in rows):
+        raise TermselError("this is text, not a table of points: the words of this line could "
+                           f"name columns, but no row of {len(header)} cells follows", file=path,
+                           line=line, hint=EXPECTED)
 
 
 def _further(header: Sequence[str], used: Collection[int]) -> dict[str, int]:

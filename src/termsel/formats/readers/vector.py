@@ -216,7 +216,8 @@ def read_layer(path: Path, layer: str | None, kinds: Mapping[str, int],
         raise TermselError("the layer has no geometry", file=path,
                            hint="Give a layer of points or lines; --set layer=NAME chooses it.")
     if not len(shapes):
-        raise TermselError("the layer has no features", file=path)
+        raise TermselError("the layer has no features", file=path,
+                           hint="Choose another layer: --set layer=NAME.")
     features = []
     for number, shape in enumerate(shapes, 1):
         properties = {name: _plain(values[number - 1])

@@ -217,7 +217,8 @@ class Stage:
                 file.write(content)
         except OSError as error:
             raise TermselError(f"the checkpoint cannot be written: {error.strerror or error}",
-                               file=self.path) from error
+                               file=self.path, hint="Check the folder, and the free space on "
+                                                    "the disk.") from error
         self._unwritten = []
         self._written = time.perf_counter()
 

@@ -81,7 +81,8 @@ class Spec:
 
 def read_spec(file: Path) -> Spec:
     """Return what a study file asks for; what is refused has its line and column."""
-    table, text = read_toml(file, "a study file", "See how-to/compare in the documentation.")
+    table, text = read_toml(file, "a study file",
+                            "termsel example DIR writes a study.toml to begin with.")
     return spec_of(table, places_of(text, file))
 
 

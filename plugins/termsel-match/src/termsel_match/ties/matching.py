@@ -192,8 +192,9 @@ def match_ties(
 def _start(path: Path) -> Start:
     start = start_of(None, path)
     if start is None:
-        raise TermselError("this image has no rough geometry", file=path,
-                           hint="Put its RPC beside it, such as image.RPB.")
+        raise TermselError("this image has no RPC, so it is not known where it looks", file=path,
+                           hint=f"Put its RPC beside it: {path.with_suffix('.RPB').name} or "
+                                f"{path.stem}_RPC.TXT.")
     return start
 
 

@@ -247,7 +247,7 @@ def file_sha256(path: Path) -> str:
                 digest.update(block)
     except OSError as error:
         raise TermselError(f"cannot read this file: {error.strerror or error}",
-                           file=path) from error
+                           file=path, hint="Give a file that you may read.") from error
     return digest.hexdigest()
 
 

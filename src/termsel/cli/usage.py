@@ -1,0 +1,148 @@
+"""Messages for a command line that cannot be read: which option, what is wrong with it, a remedy.
+
+click names types of Python ("5m is not a valid float range"); these name what the user can type.
+"""
+
+from __future__ import annotations
+
+import re
+from difflib import get_close_matches
+
+import click
+
+_NUMBER = re.compile(r"[+-]?\d+(\.\d*)?")
+_NOT_VALID = re.compile(r"'(.*)' is not a valid (integer|float)", re.DOTALL)
+_OUTSIDE = re.compile(r"(\S+) is not in the range")
+_NO_LIMIT = 1e8
+"""A largest number from which on nobody reaches it."""
+
+_EXTRA = re.compile(r"Got unexpected extra arguments? \((.*)\)", re.DOTALL)
+
+
+def usage_message(error: click.ClickException) -> str:
+    """Return what is wrong with a command line, what to type instead, and where all options are."""
+    path = error.ctx.command_path if isinstance(error, click.UsageError) and error.ctx else ""
+    if isinstance(error, click.MissingParameter):
+        lines = _missing(error)
+    elif isinstance(error, click.NoSuchOption):
+        lines = [_no_such_option(error)]
+    elif isinstance(error, click.BadOptionUsage):
+        lines = [_without_value(error)]
+    elif isinstance(error, click.BadParameter) and error.param is not None:
+        lines = [_bad_value(error, error.param)]
+    else:
+        lines = [_extra_words(error)]
+    more = [f"All options: {path} --help"] if path else []
+    return "\n".join([f"Error: {lines[0]}", *lines[1:], *more])
+
+
+def _missing(error: click.MissingParameter) -> list[str]:
+    """Return which option or argument is missing, what it is, and an example of the command."""
+    param = error.param
+    if param is None or error.ctx is None:
+        return [error.format_message()]
+    name = param.metavar or param.human_readable_name
+    about = ""
+    if isinstance(param, click.Option):
+        name = f"{param.opts[0]} {param.metavar or ''}".strip()
+        first = _first_sentence(param)
+        about = f": {first[:1].lower()}{first[1:]}" if first else ""
+    path = error.ctx.command_path
+    examples = [line.strip().removesuffix("\\").rstrip()
+                for line in (error.ctx.command.help or "").splitlines()
+                if line.strip().startswith(f"{path} ")]
+    return [f"{name} is missing{about}.", *(f"For example: {line}" for line in examples[:1])]
+
+
+def _first_sentence(option: click.Option) -> str:
+    return (option.help or "").partition(". ")[0].rstrip(".")
+
+
+def _no_such_option(error: click.NoSuchOption) -> str:
+    near = get_close_matches(error.option_name, error.possibilities or (), n=1, cutoff=0.0)
+    question = f" Did you mean {near[0]}?" if near else ""
+    return f"there is no option {error.option_name}.{question}"
+
+
+def _without_value(error: click.BadOptionUsage) -> str:
+    """Return the message for an option whose value is missing, or for a flag that has one."""
+    name = error.option_name
+    option = _option_of(error.ctx, name)
+    if option is None:
+        return error.format_message()
+    if option.is_flag:
+        return f"{name} takes no value."
+    return f"{_values_missing(option)} Type {name} {_value_name(option)}."
+
+
+def _values_missing(option: click.Option) -> str:
+    if option.nargs > 1:
+        return f"{option.opts[0]} takes {option.nargs} values."
+    return f"{option.opts[0]} has no value."
+
+
+def _option_of(ctx: click.Context | None, name: str) -> click.Option | None:
+    """Return the option of a command that has a name, such as ``--size``."""
+    for param in ctx.command.get_params(ctx) if ctx is not None else ():
+        if isinstance(param, click.Option) and name in (*param.opts, *param.secondary_opts):
+            return param
+    return None
+
+
+def _value_name(option: click.Parameter) -> str:
+    """Return how the help calls the value of an option."""
+    return (option.metavar or option.type.name.upper().partition(" ")[0]).strip("[].")
+
+
+def _bad_value(error: click.BadParameter, param: click.Parameter) -> str:
+    """Return the message for a value that an option cannot take."""
+    name = param.opts[0] if isinstance(param, click.Option) else _value_name(param)
+    message = error.message
+    not_number = _NOT_VALID.match(message)
+    if not_number:
+        typed, kind = not_number.groups()
+        # An option of several values takes the next words, whatever these are.
+        if param.nargs > 1:
+            return f"{name} takes {param.nargs} numbers, and {typed!r} is none. " \
+                   f"Type {name} {_value_name(param)}."
+        noun = "a whole number" if kind == "integer" else "a number"
+        number = _NUMBER.match(typed)
+        # 5m: the unit is in the help.
+        is_with_unit = number is not None and kind == "float"
+        remedy = f"Type the number alone: {name} {number[0]}." if number and is_with_unit else \
+            f"Type {name} {param.metavar or 'N'}."
+        return f"{name} is {typed!r}, which is not {noun}. {remedy}"
+    outside = _OUTSIDE.match(message)
+    if outside and isinstance(param.type, click.IntRange | click.FloatRange):
+        return f"{name} is {outside[1].removesuffix('.0')}, expected {_range(param.type)}."
+    if isinstance(param.type, click.Choice):
+        typed_word = re.match(r"'([^']+)' is not", message)
+        choices = list(map(str, param.type.choices))
+        near = get_close_matches(typed_word[1], choices, n=1) if typed_word else []
+        question = f" Did you mean {near[0]!r}?" if near else ""
+        word = repr(typed_word[1]) if typed_word else "another word"
+        listed = ", ".join(choices[:-1])
+        return f"{name} is {word}, expected {listed} or {choices[-1]}.{question}"
+    return f"{name}: {message.rstrip('.')}. Type {name} {_value_name(param)}."
+
+
+def _range(kind: click.IntRange | click.FloatRange) -> str:
+    """Return the limits of a number in words; a limit that nobody reaches is left out."""
+    noun = "a whole number" if isinstance(kind, click.IntRange) else "a number"
+    limits = []
+    if kind.min is not None:
+        limits.append(f"{'above' if kind.min_open else 'of at least'} {kind.min:,g}")
+    if kind.max is not None and kind.max < _NO_LIMIT:
+        limits.append(f"{'below' if kind.max_open else 'of at most'} {kind.max:,g}")
+    return f"{noun} {' and '.join(limits)}"
+
+
+def _extra_words(error: click.ClickException) -> str:
+    """Return the message for words that a command does not take, or as it is."""
+    extra = _EXTRA.match(error.message)
+    ctx = error.ctx if isinstance(error, click.UsageError) else None
+    if extra is None or ctx is None:
+        return error.format_message()
+    usage = " ".join(ctx.command.collect_usage_pieces(ctx))
+    return f"{extra[1]!r} is more than this command takes: {ctx.command_path} {usage}. " \
+           "A name with spaces needs quotation marks."

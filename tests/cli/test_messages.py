@@ -1,0 +1,167 @@
+"""What people read who typed or gave something wrong: the option or file, the fault, a remedy."""
+
+from __future__ import annotations
+
+import ast
+import re
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from termsel.cli.main import cli
+from termsel.cli.usage import usage_message
+from termsel.plugins.registry import registry
+
+ROOT = Path(__file__).parents[2]
+
+
+def refused(*words: str) -> str:
+    done = CliRunner().invoke(cli, [*words], prog_name="termsel")
+    assert done.exit_code == 2, done.output
+    return done.stderr
+
+
+def commands() -> Iterator[tuple[str, click.Command]]:
+    """Yield every installed command with its name."""
+    parent = click.Context(cli, info_name="termsel")
+    for name in (*cli.list_commands(parent), *registry().names("commands")):
+        command = cli.get_command(parent, name)
+        assert command is not None
+        yield name, command
+
+
+def message_of(command: click.Command, name: str, words: list[str]) -> str:
+    """Return what a command says of options that it cannot read."""
+    parent = click.Context(cli, info_name="termsel")
+    try:
+        command.make_context(name, list(words), parent=parent)
+    except click.UsageError as error:
+        error.ctx = error.ctx or click.Context(command, parent=parent, info_name=name)
+        return usage_message(error)
+    raise AssertionError(f"{name} takes {words}")
+
+
+def test_no_option_of_any_command_answers_in_words_of_python() -> None:
+    numbers = (click.INT, click.FLOAT)
+    tried = 0
+    for name, command in commands():
+        for option in command.params:
+            is_number = option.type in numbers or isinstance(
+                option.type, click.IntRange | click.FloatRange)
+            if not isinstance(option, click.Option) or not is_number:
+                continue
+            message = message_of(command, name, [option.opts[0], *["5m"] * option.nargs])
+            assert message.startswith(f"Error: {option.opts[0]} "), message
+            assert "number" in message
+            assert message.endswith(f"All options: termsel {name} --help")
+            assert not re.search(r"valid|float|integer|range|<=", message), message
+            tried += 1
+    assert tried > 40
+
+
+@pytest.mark.parametrize(("words", "message"), [
+    (["--seconds", "5s"], "--seconds is '5s', which is not a number. Type the number alone: "
+                          "--seconds 5."),
+    (["--seed", "1.5"], "--seed is '1.5', which is not a whole number. Type --seed N."),
+    (["--generations", "0"], "--generations is 0, expected a whole number of at least 1."),
+    (["--strategy", "aut"], "--strategy is 'aut', expected auto or as-asked. Did you mean "
+                            "'auto'?"),
+    (["--outt", "x"], "there is no option --outt. Did you mean --out?"),
+    (["--points"], "--points has no value. Type --points FILE."),
+    (["--quiet=1"], "--quiet takes no value.")])
+def test_an_option_that_cannot_be_read_is_named_with_a_remedy(words: list[str],
+                                                              message: str) -> None:
+    assert refused("run", *words) == f"Error: {message}\nAll options: termsel run --help\n"
+
+
+def test_words_beyond_those_of_a_command_are_shown_with_what_it_takes() -> None:
+    assert "'b' is more than this command takes: termsel report [OPTIONS] DIR." \
+        in refused("report", "a", "b")
+
+
+def test_a_folder_of_images_leads_to_compare(example_files: Path) -> None:
+    folder = example_files / "images"
+    assert f"termsel compare --points '{folder}/*.csv' --out DIR" \
+        in refused("run", "--points", str(folder))
+
+
+def test_two_files_of_points_are_to_be_joined_or_compared(example_files: Path) -> None:
+    first, second = (str(example_files / name) for name in ("gcps.csv", "scene.points"))
+    message = refused("run", first, second)
+    assert f"{first} and {second} are both points" in message
+    assert f"termsel compare --points {shlex.quote(first)} {shlex.quote(second)} --out" in message
+
+
+def test_an_image_alone_is_asked_for_its_points(example_files: Path) -> None:
+    message = refused("run", str(example_files / "scene.tif"))
+    assert "this raster has no ground control points. Give the file of points with it: termsel " \
+        "run points.csv scene.tif." in message
+
+
+def test_heights_among_the_files_are_not_taken_for_the_image(example_files: Path) -> None:
+    done = CliRunner().invoke(cli, ["run", str(example_files / "scene.points"),
+                                    str(example_files / "dem.tif"), "--quiet"])
+    assert done.exit_code == 0, done.output
+    assert "dem.tif is read as heights (--dem)" in done.stderr
+    assert "60 of 60 heights from dem.tif" in done.stderr
+
+
+def test_an_address_is_shown_as_it_was_typed() -> None:
+    message = refused("run", "https://example.org/gcps.csv")
+    assert message.startswith("Error: https://example.org/gcps.csv: this is an address on a server")
+
+
+def test_words_are_not_taken_for_a_table(example_files: Path) -> None:
+    message = refused("run", "--points", str(example_files / "README.txt"))
+    assert "this is text, not a table of points" in message
+
+
+@pytest.mark.parametrize(("header", "missing"), [
+    ("id,line,sample", "image coordinates alone: columns for x and y are missing"),
+    ("id,x,y", "ground coordinates alone: columns for line and sample are missing")])
+def test_a_table_of_one_pair_says_which_pair_is_missing(tmp_path: Path, header: str,
+                                                        missing: str) -> None:
+    table = tmp_path / "points.csv"
+    table.write_text("\n".join([header, *(f"P{i},{10 * i},{20 * i}" for i in range(6))]))
+    assert missing in refused("run", "--points", str(table), "--crs", "EPSG:4979")
+
+
+def test_a_table_given_as_a_raster_is_called_text(example_files: Path) -> None:
+    table = str(example_files / "gcps.csv")
+    assert "this is a file of text, not a raster" in refused("run", table, "--image", table)
+
+
+def test_a_list_of_toml_that_never_ends_is_said_where_it_begins(tmp_path: Path) -> None:
+    study = tmp_path / "study.toml"
+    study.write_text('title = "x"\nproblems = ["rfm-terms"\nseeds = 3\n')
+    assert "line 2: this is not TOML: the list that begins here has no closing bracket" \
+        in refused("compare", str(study), "--out", str(tmp_path / "out"))
+
+
+def test_a_folder_with_results_inside_names_them(tmp_path: Path) -> None:
+    for name in ("A", "B"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "result.json").write_text("{}")
+    folders = f"{tmp_path / 'A'}, {tmp_path / 'B'}."
+    assert f"Give one of them: {folders}" in refused("plan", str(tmp_path))
+    assert f"one of these within it: {folders}" in refused("report", str(tmp_path))
+
+
+def test_what_is_wrong_with_a_file_comes_with_a_remedy() -> None:
+    """Every error that names a file says what to do."""
+    without = []
+    for path in [*ROOT.glob("src/**/*.py"), *ROOT.glob("plugins/*/src/**/*.py")]:
+        text = path.read_text(encoding="utf-8")
+        if "TermselError(" not in text:
+            continue
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) \
+                    and node.func.id == "TermselError":
+                names = {keyword.arg for keyword in node.keywords}
+                if "file" in names and "hint" not in names:
+                    without.append(f"{path.relative_to(ROOT)}:{node.lineno}")
+    assert not without
