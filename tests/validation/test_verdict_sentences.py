@@ -70,7 +70,7 @@ def test_without_independent_points_nothing_is_compared() -> None:
     (3.0, 1.0, "3.0 times worse than all lines (3.00 px against 1.00 px)"),
     (0.1, 0.99, "9.9 times better than all lines (0.10 px against 0.99 px)"),
     (0.1, 1.0, "10 times better than all lines (0.10 px against 1.00 px)"),
-    (1.0, 12345.0, "12,345 times better than all lines (1.00 px against 12345.00 px)"),
+    (1.0, 12345.0, "12,345 times better than all lines (1.00 px against 12,345 px)"),
     (0.099, 0.099, "no better than all lines (0.099 px against 0.099 px)"),
     (0.00123, 0.00246, "2.0 times better than all lines (0.0012 px against 0.0025 px)"),
     (0.0, 0.0, "no better than all lines (0 px against 0 px)")])
@@ -82,9 +82,9 @@ def test_the_selection_against_all_of_it(mine: float, theirs: float, sentence: s
 def test_better_than_a_failure_is_no_praise() -> None:
     others = (baseline("affine", 254.0),)
     assert judged(764.0, 369_000.0, others=others, reference="affine") == (
-        "The RMSE of the selection is 764.00 px at 20 independent check points. A simpler "
+        "The RMSE of the selection is 764 px at 20 independent check points. A simpler "
         "model, an affine polynomial fitted to control and selection points, is 3.0 times better "
-        "(254.00 px).")
+        "(254 px).")
     assert judged(762.0, 369_000.0, others=others, reference="affine").startswith(
         "The selection is 484 times better than all lines")
 
@@ -161,20 +161,19 @@ CHOSEN = ("The automatic choice is a quadratic polynomial, with a predicted "
 
 @pytest.mark.parametrize(("others", "sentence"), [
     ((), ""),
-    ((baseline("dlt", 2.0, predicted=3.0),), " That is 2.0 times better than a DLT, the best "
-     "conventional model in cross-validation (1.00 px against 2.00 px)."),
+    ((baseline("dlt", 2.0, predicted=3.0),), " There a DLT, the best conventional model in "
+     "cross-validation, has 2.00 px: 2.0 times as large."),
     # The best by leave-one-out, not by independent points; of the plain ones; not the choice.
     ((baseline("affine", 0.5, predicted=4.0), baseline("dlt", 2.0, predicted=3.0)),
-     " That is 2.0 times better than a DLT, the best conventional model in "
-     "cross-validation (1.00 px against 2.00 px). At these points an affine polynomial is 2.0 "
+     " There a DLT, the best conventional model in cross-validation, has 2.00 px: 2.0 times as "
+     "large. At these points an affine polynomial is 2.0 "
      "times better (0.50 px), which only these points show."),
     ((baseline("dlt", 1.02, predicted=3.0), baseline("rfm-3", 0.1, predicted=0.1),
       baseline("selected", 0.1, predicted=0.1), baseline("quadratic", 0.1, predicted=0.1)),
-     " That is no better than a DLT, the best conventional model in "
-     "cross-validation (1.00 px against 1.02 px)."),
-    ((baseline("rfm-2", 0.25, predicted=3.0),), " That is 4.0 times worse than a second-order "
-     "RFM, the best conventional model in cross-validation (1.00 px against 0.25 "
-     "px)."),
+     " There a DLT, the best conventional model in cross-validation, has 1.02 px: no practical "
+     "difference."),
+    ((baseline("rfm-2", 0.25, predicted=3.0),), " There a second-order RFM, the best conventional "
+     "model in cross-validation, has 0.25 px: second-order RFM is better by 75 %."),
     ((baseline("dlt", 2.0),), ""),
     ((baseline("quadratic", 2.0, predicted=1.0),), ""),
     ((baseline("all-terms", 2.0, predicted=1.0),), "")])
@@ -203,3 +202,13 @@ def test_the_conventional_fit_is_named_by_what_could_be_selected(
 @pytest.mark.parametrize(("number", "text"), [(0, "0 lines"), (1, "1 line"), (2, "2 lines")])
 def test_a_number_and_its_noun(number: int, text: str) -> None:
     assert counted(number, "line") == text
+
+
+def test_without_many_check_points_both_models_are_compared_in_leave_one_out() -> None:
+    """Not the prediction of the whole choice with the leave-one-out RMSE of one model."""
+    rival = baseline("dlt", None, predicted=2.0)
+    text = judge_choice(candidate("quadratic"), 2.5, rmse(None), (rival,), None, held_out=2.1,
+                        among=7)
+    assert text.endswith(" In leave-one-out its model has 2.10 px, and a DLT, the best "
+                         "conventional model, 2.00 px: no practical difference.")
+    assert "2.50 px against" not in text

@@ -176,7 +176,8 @@ class Commands(click.Group):
         """Return the context of the command that words begin with: click's parser knows none."""
         parent = click.Context(self, info_name="termsel")
         command = self.get_command(parent, words[0]) if words else None
-        return command and click.Context(command, parent=parent, info_name=words[0])
+        return None if command is None else click.Context(command, parent=parent,
+                                                          info_name=words[0])
 
 
 def _too_large(error: MemoryError) -> TermselError:

@@ -20,7 +20,7 @@ from termsel.data.record.figures import (
 from termsel.data.record.record import Record, WhatWasRead
 from termsel.report.accuracy import accuracy_lines, lattice_of, reused_points
 from termsel.report.blocks import Fact
-from termsel.report.compared import label_of
+from termsel.report.compared import are_alike, label_of, verdict_on_choice
 from termsel.report.verdict import off_option, size_of_errors, too_few_to_test
 
 SCREEN_LINES = 12
@@ -40,10 +40,6 @@ _NO_FIT, _BLUNT = 0.01, 0.005
 an error that must be exceeded to be detected."""
 _CONTRADICTED = 2.0
 """Times the upper end of the predicted RMSE beyond which independent points contradict it."""
-_ALIKE_RATIO = 1.05
-"""Ratio of two RMSE below which the difference is of no practical use."""
-_CHANCE = 1.15
-"""Ratio up to which a model that was not chosen may be better by chance, in leave-one-out."""
 _DEGREE_NAMES = {1: "affine", 2: "quadratic", 3: "cubic"}
 _DIMENSIONS = {"poly2d": "2-D", "poly3d": "3-D"}
 
@@ -340,9 +336,12 @@ def _against(record: Record, rival: BaselineRow) -> Iterator[str]:
     name = "automatic choice without a search" if record.strategy is None else label_of(rival.name)
     verdict = _verdict(record, own_rmse, rival_rmse)
     if record.strategy is not None and not _by_points(record):
-        # In leave-one-out the RMSE of this model is not the figure shown above.
-        yield (f"{name} {rounded(rival_rmse)} px, this model {rounded(own_rmse)} px in "
-               f"leave-one-out: {verdict}")
+        # Each figure once: that of this model may be the prediction above, and both may be alike.
+        shown = "" if record.predicted is None else rounded(record.predicted.rmse)
+        own = "" if rounded(own_rmse) in (shown, rounded(rival_rmse)) else \
+            f" against {rounded(own_rmse)} px"
+        figure = f" {rounded(rival_rmse)} px{own}" if rounded(rival_rmse) != shown else ""
+        yield f"{name}{figure} in leave-one-out: {verdict}"
     else:
         yield f"{name} {rounded(rival_rmse)} px: {verdict}"
     if _shift_of(record):
@@ -380,26 +379,14 @@ def _by_points(record: Record) -> bool:
 
 def _verdict(record: Record, own_rmse: float, rival_rmse: float) -> str:
     """Return in a few words what the ratio of two RMSE is worth."""
-    # RMSE within 5 % of each other are alike: sets of some twenty points tell no more.
-    similar = own_rmse <= _ALIKE_RATIO * rival_rmse and rival_rmse <= _ALIKE_RATIO * own_rmse
     if record.strategy:
-        if similar:
-            return "no practical difference"
-        if rival_rmse > own_rmse:
-            return f"{_times(rival_rmse / own_rmse)} as large"
-        # The choice has kept to the simpler model, or averages, where the difference is small.
-        chosen = len(record.strategy.candidates) > 1
-        return "may be chance" if chosen and own_rmse <= _CHANCE * rival_rmse else \
-            f"{label_of(record.reference)} is better by {100 * (1 - rival_rmse / own_rmse):.0f} %"
-    if similar:
+        return verdict_on_choice(own_rmse, rival_rmse, record.reference,
+                                 len(record.strategy.candidates))
+    if are_alike(own_rmse, rival_rmse):
         return "the search gains nothing"
     if rival_rmse > own_rmse:
         return f"the search is better by {100 * (1 - own_rmse / rival_rmse):.0f} %"
     return "better; omit --problem, --solver"
-
-
-def _times(ratio: float) -> str:
-    return f"{ratio:.1f} times" if ratio < 10 else f"{ratio:,.0f} times"
 
 
 def _conventional(record: Record, row: BaselineRow) -> Iterator[str]:

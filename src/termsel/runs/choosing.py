@@ -183,10 +183,13 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
                      if row.name != method.name or method.is_plain)
 
     def judgement(rmse: Rmses, rivals: tuple[Baseline, ...]) -> str:
+        own = {row.name: row.predicted for row in strategy.candidates}
         return judge_choice(method, None if predicted is None else predicted.rmse, rmse, rivals,
-                            request.features.noise, is_asked_for=auto.is_one_method)
+                            request.features.noise, held_out=own.get(method.name), among=len(own),
+                            is_asked_for=auto.is_one_method)
 
     rpc_unused, rpc_correction = _on_rpc(request, data, auto, choice.chosen)
+    strategy = _strategy(choice, errors, predicted, data, clean, rpc_unused)
     interrupted = INTERRUPTED.format(min(watch.count, watch.methods), watch.methods) \
         if outcome.interrupted else ""
     heights_are_known = auto.fewest(observations.pool) == 1 or (
@@ -219,7 +222,7 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
         feasible=True, interrupted=outcome.interrupted,
         evaluations=watch.count or len(choice.compared), lookups=0, generations=0,
         seconds=time.perf_counter() - start, predicted=predicted, predicted_final=predicted_final,
-        final=final, strategy=_strategy(choice, errors, predicted, data, clean, rpc_unused))
+        final=final, strategy=strategy)
 
 
 def _choose(clean: Observations, auto: Auto, watch: _Watch, seed: int) -> _Chosen:

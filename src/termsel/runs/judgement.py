@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from termsel.auto.methods import BY_NAME
+from termsel.core.display.numbers import rounded
 from termsel.core.errors import amount, counted
 from termsel.data.record.figures import FEW_EVALUATIONS, MANY_INDEPENDENT, TOO_FEW
 from termsel.data.roles import Observations
@@ -17,14 +18,12 @@ from termsel.fitting.fit import Fit
 from termsel.fitting.least_squares import fit
 from termsel.fitting.method import Method
 from termsel.plugins.registry import registry
+from termsel.report.compared import ALIKE_RATIO, times, verdict_on_choice
 from termsel.selection.criteria import Criterion
 from termsel.selection.problems.genome import Genome
 from termsel.selection.solvers.search import SearchResult
 
 _ROUNDING_PX = 1e-9  # px: smaller errors are those of arithmetic
-ALIKE_RATIO = 1.05
-"""Two RMSE whose ratio is below this are called alike: with a few dozen independent points
-an RMSE is itself uncertain by more."""
 POOR = 3.0
 """A selection with so many times the RMSE of a conventional model is not compared with all
 terms."""
@@ -81,14 +80,14 @@ def judge(conventional: str, criterion: str, rmse: Rmses,
         ratio = _ratio(measured.total, _independent(best))
         size = _px(_independent(best))
         if ratio > ALIKE_RATIO and (blunders or not method.is_plain):
-            sentences.append(f"The automatic choice, {title}, is {_times(ratio)} better ({size}): "
+            sentences.append(f"The automatic choice, {title}, is {times(ratio)} better ({size}): "
                              "omit --problem and --solver.")
         elif ratio > ALIKE_RATIO:
-            sentences.append(f"A simpler model, {title}, is {_times(ratio)} better ({size}).")
+            sentences.append(f"A simpler model, {title}, is {times(ratio)} better ({size}).")
         elif ratio > 1 / ALIKE_RATIO:
             sentences.append(f"It is no better than the automatic choice, {title} ({size}).")
         else:
-            sentences.append(f"It is {_times(1 / ratio)} better than the automatic choice, {title} "
+            sentences.append(f"It is {times(1 / ratio)} better than the automatic choice, {title} "
                              f"({size}).")
     else:
         sentences.append("Control and selection points together determine no polynomial.")
@@ -99,13 +98,15 @@ def judge(conventional: str, criterion: str, rmse: Rmses,
 
 def judge_choice(method: Method, predicted: float | None, rmse: Rmses,
                  baselines: tuple[Baseline, ...], noise: float | None, *,
+                 held_out: float | None = None, among: int = 1,
                  is_asked_for: bool = False) -> str:
     """Return some sentences on what the choice of a strategy, or a method asked for, is worth.
 
-    `predicted` is the RMSE of the choice repeated in folds [px], `rmse` that by role, and `noise`
+    `predicted` is the RMSE of the choice repeated in folds [px], `held_out` that of the chosen
+    model alone in leave-one-out, which was chosen `among` several, `rmse` that by role, and `noise`
     the standard deviation of the measurements [px], where it is known. The choice is compared with
-    the conventional model that held-out features would have chosen, by the figure that is surer:
-    the RMSE of the independent points where there are `MANY_INDEPENDENT`, else the predicted one. A
+    the conventional model that held-out features would have chosen, like with like: both at the
+    independent points where there are `MANY_INDEPENDENT`, else both in leave-one-out. A
     conventional model that is better at so many independent points is named, too.
     """
     measured = rmse["independent"]
@@ -122,20 +123,23 @@ def judge_choice(method: Method, predicted: float | None, rmse: Rmses,
               and (candidate := registry().known("methods", b.name))
               and candidate.is_plain and candidate is not method]
     if rivals:
-        # The surer figure decides: many independent points, else the prediction.
+        # The surer figures decide: many independent points, else leave-one-out.
         by_points = measured is not None and (predicted is None
                                               or measured.n >= MANY_INDEPENDENT)
-        held_out, best, title = min(rivals, key=lambda rival: rival[0])
-        title = f"{title}, the best conventional model in cross-validation"
+        rival_held_out, best, title = min(rivals, key=lambda rival: rival[0])
+        deficient = "" if best.determined else ", which is rank-deficient"
         if by_points and measured is not None:
-            sentences.append(_compare("That is", measured.total, _independent(best), title,
-                                      determined=best.determined) + ".")
+            rival_rmse = _independent(best)
+            verdict = verdict_on_choice(measured.total, rival_rmse, best.name, among)
+            sentences.append(f"There {title}, the best conventional model in cross-validation, has "
+                             f"{_px(rival_rmse)}{deficient}: {verdict}.")
             sentences += _in_hindsight(measured.total, best, [
                 (b, name) for _, b, name in rivals])
-        elif predicted is not None:
-            start = "That is" if measured is None else "The prediction is"
-            sentences.append(_compare(start, predicted, held_out, title,
-                                      determined=best.determined) + ".")
+        elif held_out is not None:
+            verdict = verdict_on_choice(held_out, rival_held_out, best.name, among)
+            sentences.append(f"In leave-one-out its model has {_px(held_out)}, and {title}, the "
+                             f"best conventional model, {_px(rival_held_out)}{deficient}: "
+                             f"{verdict}.")
     if noise is not None and measured is not None:
         sentences.append(f"Measurement noise alone gives {_px(noise * np.sqrt(2))}.")
     return " ".join(sentences)
@@ -156,7 +160,7 @@ def _in_hindsight(rmse: float, named: Baseline,
     # Said apart, as these points chose it in hindsight.
     ratio = _ratio(rmse, _independent(best))
     if ratio > ALIKE_RATIO and best is not named:
-        yield (f"At these points {title} is {_times(ratio)} better ({_px(_independent(best))}), "
+        yield (f"At these points {title} is {times(ratio)} better ({_px(_independent(best))}), "
                "which only these points show.")
 
 
@@ -185,11 +189,7 @@ def _ratio(error: float, reference: float) -> float:
 
 
 def _px(value: float) -> str:
-    return f"{value:.2f} px" if value >= 0.1 else f"{value:.2g} px"
-
-
-def _times(ratio: float) -> str:
-    return f"{ratio:.1f} times" if ratio < 10 else f"{ratio:,.0f} times"
+    return f"{rounded(value)} px"
 
 
 def _compare(start: str, rmse: float, reference: float, title: str, *, determined: bool) -> str:
@@ -198,10 +198,10 @@ def _compare(start: str, rmse: float, reference: float, title: str, *, determine
     figures += ")" if determined else ", which is rank-deficient)"
     ratio = _ratio(reference, rmse)
     if ratio > ALIKE_RATIO:
-        return f"{start} {_times(ratio)} better than {title} {figures}"
+        return f"{start} {times(ratio)} better than {title} {figures}"
     if ratio > 1 / ALIKE_RATIO:
         return f"{start} no better than {title} {figures}"
-    return f"{start} {_times(1 / ratio)} worse than {title} {figures}"
+    return f"{start} {times(1 / ratio)} worse than {title} {figures}"
 
 
 def notes_on(observations: Observations, criterion: Criterion, search: SearchResult,
