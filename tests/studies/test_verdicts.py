@@ -18,23 +18,26 @@ from termsel.testing import invoke
 def row(**figures: Any) -> dict[str, Any]:
     return {"strategy": "auto", "state": "done", "reason": "", "doubt": "", "notes": None,
             "predicted": 1.0, "predicted_low": 0.7, "predicted_high": 1.5, "independent": None,
-            "n_independent": 0, "pixel": 2.0, "blunders": [], "n_control": 12, "excluded": 0,
+            "n_independent": 0, "pixel": 2.0, "blunders": [], "n_control": 12, "n_check": 0, "excluded": 0,
             **figures}
 
 
 @pytest.mark.parametrize(("figures", "accept", "verdict", "why"), [
-    ({}, "2px", FIT, "RMSE 1 px (0.7 to 1.5) meets 2 px"),
+    ({}, "2px", FIT, "RMSE 1.00 px (0.70 to 1.50) meets 2 px"),
     ({}, "1px", DOUBTFUL, "so 1 px is not certain"),
     ({}, "0.5px", UNFIT, "0.5 px is asked for"),
-    ({}, "3.5m", FIT, "RMSE 2 m (1.4 to 3) meets 3.5 m"),
+    ({}, "3.5m", FIT, "RMSE 2.00 m (1.40 to 3.00) meets 3.5 m"),
     ({"pixel": None}, "3m", DOUBTFUL, "not known in m"),
-    ({"independent": 3.0, "n_independent": 30}, "2px", UNFIT, "RMSE 3 px"),
+    ({"independent": 3.0, "n_independent": 30}, "2px", UNFIT, "RMSE 3.00 px"),
     ({"independent": 3.0, "n_independent": 5}, "2px", DOUBTFUL, "more than predicted"),
     ({"predicted": None, "independent": None}, None, DOUBTFUL, "nothing tells"),
     ({"blunders": ["a", "b", "c", "d"], "excluded": 4}, None, DOUBTFUL, "4 blunders among 16"),
     ({"doubt": "Its axes look swapped."}, None, UNFIT, "swapped"),
     ({"state": "failed", "reason": "too few points"}, None, UNFIT, "too few points"),
-    ({}, None, FIT, "nothing contradicts")])
+    ({}, None, FIT, "nothing contradicts its figures; not verified"),
+    ({"n_independent": 4}, None, FIT, "nothing contradicts its figures; 4 independent check"),
+    ({"predicted_low": 0.3}, None, DOUBTFUL, "12 points leave its RMSE between 0.30 and 1.50 px"),
+    ({"predicted_low": 0.3}, "2px", FIT, "meets 2 px; not verified")])
 def test_the_interval_decides_and_what_contradicts_it(
         figures: dict[str, Any], accept: str | None, verdict: str, why: str) -> None:
     found = verdicts_of([row(**figures)], (accept and Accept.of(accept)) or None)

@@ -132,7 +132,7 @@ def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: 
     # What was finished lies in the journal, and the same command skips it.
     if not results.complete:
         done = len(results.records)
-        echo(f"Interrupted: {done} of {counted(len(results.cells), 'cell')} are finished and "
+        echo(f"Interrupted: {done} of {counted(len(results.cells), results.noun)} are finished and "
              "kept. "
              "The same command goes on.", err=True)
         sys.exit(INTERRUPTED)

@@ -10,8 +10,11 @@ from pathlib import Path
 
 from termsel.core.errors import counted
 from termsel.core.files.atomic import atomic_path, write_text
-from termsel.core.isolation.parts import missing, package_of_name, parts
-from termsel.studies.cells.table import csv_of, with_notes_once
+from termsel.core.isolation.parts import install_hint, missing, package_of_name, parts
+from termsel.report.blocks import Block, Document
+from termsel.report.text import first_screen_of
+from termsel.studies.cells.image_table import image_reasons, image_table
+from termsel.studies.cells.table import csv_of, usual_notes, with_notes_once
 from termsel.studies.study import Study
 
 NAMES = ("study.csv", "study.parquet")
@@ -45,7 +48,9 @@ def names() -> tuple[str, ...]:
 
 
 def write_outputs(study: Study, out: Path) -> list[Path]:
-    """Write a study's files: study.csv with a row a cell, then what packages add; return them.
+    """Write a study's files, and return them: study.csv, then what packages add.
+
+    study.csv has a row for each image, or for each cell of a study of searches.
 
     study.parquet holds the same as study.csv, where pandas and pyarrow are installed.
     """
@@ -62,13 +67,28 @@ def write_outputs(study: Study, out: Path) -> list[Path]:
 
 
 def summary(study: Study) -> str:
-    """Return what packages say of a study as text; without one, which package would."""
+    """Return what packages say of a study as text; without one, its images and which package would.
+    """
     texts = [output.summary(study) for output in parts("study") if output.summary]
     package = package_of_name("study")
-    # A study is complete without the package that makes statistics of it.
+    # Images have their table without any package; statistics of searches come with one.
+    if study.noun == "image":
+        further = "" if texts else \
+            f"A page of all images: package {package}. {install_hint(package)}\n"
+        return f"{_images(study)}{further}"
     return "".join(texts) or (
-        f"{counted(len(study.records), 'cell')} finished. Statistics and tables come with the "
-        f"package {package}: pip install ./plugins/{package}\n")
+        f"{counted(len(study.records), study.noun)} finished. Statistics and tables come with the "
+        f"package {package}. {install_hint(package)}\n")
+
+
+def _images(study: Study) -> str:
+    """Return what stands out, the table of images, and the reasons of verdicts, as text."""
+    title = [study.spec.title] if study.spec.title else []
+    notes = [f"{number} of {len(study.rows)} images: {note}"
+             for note, number in usual_notes(study.rows).items()]
+    blocks: tuple[Block, ...] = (*title, *study.remarks, *notes, image_table(study.rows),
+                                 *image_reasons(study.rows))
+    return first_screen_of(Document("", "", blocks, ())).lstrip("\n")
 
 
 def page(study: Study) -> str:

@@ -80,6 +80,11 @@ class Study(Glance):
         return len(self.records) == len(self.cells)
 
     @property
+    def noun(self) -> str:
+        """What the rows are called: an image of a batch, or a cell of a study of searches."""
+        return "image" if self.spec.strategies == ("auto",) else "cell"
+
+    @property
     def columns(self) -> tuple[str, ...]:
         """Names of the columns of `rows`."""
         return columns_of(self.spec.strategies, self.spec.measures)

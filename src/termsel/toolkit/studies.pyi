@@ -1,4 +1,12 @@
 from termsel.studies.cells.cell import Cell as Cell
+from termsel.studies.cells.image_table import count_of_verdicts as count_of_verdicts
+from termsel.studies.cells.image_table import image_name as image_name
+from termsel.studies.cells.image_table import image_reasons as image_reasons
+from termsel.studies.cells.image_table import image_table as image_table
+from termsel.studies.cells.image_table import independent_rmse as independent_rmse
+from termsel.studies.cells.image_table import metres as metres
+from termsel.studies.cells.image_table import own_notes as own_notes
+from termsel.studies.cells.image_table import predicted_rmse as predicted_rmse
 from termsel.studies.cells.images import IMAGES as IMAGES
 from termsel.studies.cells.images import file_word as file_word
 from termsel.studies.cells.images import folders_of as folders_of
@@ -7,7 +15,6 @@ from termsel.studies.cells.table import TIMES as TIMES
 from termsel.studies.cells.table import WAITING as WAITING
 from termsel.studies.cells.table import Row as Row
 from termsel.studies.cells.table import usual_notes as usual_notes
-from termsel.studies.cells.verdicts import VERDICTS as VERDICTS
 from termsel.studies.execution.executors import AHEAD as AHEAD
 from termsel.studies.execution.executors import DIED as DIED
 from termsel.studies.execution.executors import Stop as Stop

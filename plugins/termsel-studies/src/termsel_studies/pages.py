@@ -3,24 +3,28 @@
 from __future__ import annotations
 
 import math
-import re
-from collections import Counter
-from collections.abc import Container
 from typing import Any
 
 from termsel import Study, TableBlock
-from termsel.toolkit import counted, printable
+from termsel.toolkit import printable
 from termsel.toolkit.charts import label_of
 from termsel.toolkit.files import markdown_text
-from termsel.toolkit.studies import VERDICTS, Row, usual_notes
+from termsel.toolkit.studies import (
+    Row,
+    count_of_verdicts,
+    image_name,
+    image_table,
+    independent_rmse,
+    metres,
+    own_notes,
+    predicted_rmse,
+    usual_notes,
+)
 from termsel_studies.claims import claims
 from termsel_studies.fronts import front_figures
 from termsel_studies.groups import Groups, group
 from termsel_studies.significance import compare_methods, effect_size, medians_of
 from termsel_studies.summaries import Summary, summaries
-
-_REASONS = 10
-"""Images whose reasons a terminal shows."""
 
 
 def remarks_of(study: Study) -> list[str]:
@@ -41,7 +45,7 @@ def tables_of(study: Study, *, brief: bool = False) -> tuple[list[TableBlock], l
     """
     rows = study.rows
     images = [row for row in rows if row["strategy"] == "auto"]
-    tables = [_main_columns(images) if brief else _images(images)]
+    tables = [image_table(images) if brief else _images(images)]
     if study.spec.strategies == ("auto",):
         return [table for table in tables if table.rows], []
     groups = group(rows, study.records, study.spec.measure)
@@ -86,70 +90,14 @@ def _images(rows: list[Row]) -> TableBlock:
     lines = []
     for row in rows:
         model = label_of(row["chosen"]) if row["chosen"] else row["state"]
-        lines.append((_image(row), row["verdict"] or row["state"], row["why"] or "",
-                      model, _predicted(row), _metres(row), shown(row["independent"], 3),
+        lines.append((image_name(row), row["verdict"] or row["state"], row["why"] or "",
+                      model, predicted_rmse(row), metres(row),
+                      independent_rmse(row),
                       ", ".join(row["blunders"] or ()),
                       *([str(row["without_height"] or "")] if without else []),
-                      row["place"] or "", _said(row, usual)))
-    return TableBlock(_counts(rows), tuple(header), lines, keys=[row["cell"] for row in rows])
-
-
-def _main_columns(rows: list[Row]) -> TableBlock:
-    """Return one row an image in five columns."""
-    lines = [(_image(row), row["verdict"] or row["state"], _predicted(row), _metres(row),
-              ", ".join(row["blunders"] or ())) for row in rows]
-    return TableBlock(_counts(rows), ("image", "verdict", "RMSE [px]", "RMSE [m]", "blunders"),
-                      lines, keys=[row["cell"] for row in rows])
-
-
-def reasons_of(study: Study) -> list[str]:
-    """Return why images are not fit for use, the worst first; of many only how many more."""
-    images = [row for row in study.rows if row["strategy"] == "auto"]
-    usual = usual_notes(images)
-    lines = []
-    for row in images:
-        reason = row["why"] or _said(row, usual)
-        if row["verdict"] != VERDICTS[0] and reason:
-            image = _image(row)
-            lines.append(reason if reason.startswith(image) else f"{image}: {reason}")
-    more = len(lines) - _REASONS
-    return [*lines[:_REASONS], f"{more} more: study.csv has all reasons"] if more > 0 else lines
-
-
-def _image(row: Row) -> str:
-    return str(row["data"]) + (f", split {row['split']}" if row["split"] else "")
-
-
-def _metres(row: Row) -> str:
-    """Return the RMSE on the ground: predicted, or else of independent check points."""
-    metres = row["independent_m"] if row["predicted_m"] is None else row["predicted_m"]
-    return "" if metres is None else f"{metres:.3g}"
-
-
-def _counts(rows: list[Row]) -> str:
-    """Return how many images there are, and how many have which verdict."""
-    verdicts = Counter(row["verdict"] for row in rows if row["verdict"])
-    counts = ", ".join(f"{verdicts[verdict]} {verdict}" for verdict in VERDICTS
-                       if verdicts[verdict])
-    return f"{counted(len(rows), 'image')}, worst first" + (f": {counts}" if counts else "")
-
-
-def _said(row: Row, usual: Container[str]) -> str:
-    """Return why an image has no result, or the doubts about it and its own notes."""
-    notes = [note for note in row["notes"] or () if note not in usual]
-    text = "" if row["reason"] and row["why"] else row["reason"] or " ".join(notes)
-    # A note repeats a doubt with what to do about it: the longer one is enough.
-    if row["doubt"] and row["doubt"] in (row["why"] or ""):
-        return text
-    doubts = re.split(r"(?<=[.?]) (?=[A-Z])", row["doubt"] or "")
-    return " ".join([*(doubt for doubt in doubts if doubt and doubt not in text), text]).strip()
-
-
-def _predicted(row: Row) -> str:
-    if row["predicted"] is None:
-        return ""
-    return (f"{shown(row['predicted'], 3)} ({shown(row['predicted_low'], 3)} to "
-            f"{shown(row['predicted_high'], 3)})")
+                      row["place"] or "", own_notes(row, usual)))
+    return TableBlock(count_of_verdicts(rows), tuple(header), lines,
+                      keys=[row["cell"] for row in rows])
 
 
 def _of_instance(groups: Groups, name: str, figures: list[Summary]) -> TableBlock:

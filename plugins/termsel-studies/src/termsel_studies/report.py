@@ -11,9 +11,9 @@ from pathlib import Path
 from termsel import Study, TermselError, read_result
 from termsel.toolkit import Document, Figure, Section, counted, page, write_text
 from termsel.toolkit.charts import save, styled, text_of
-from termsel.toolkit.studies import IMAGES, folders_of
+from termsel.toolkit.studies import IMAGES, folders_of, image_reasons
 from termsel_studies.figures import figures_of
-from termsel_studies.pages import latex, markdown, reasons_of, remarks_of, tables_of
+from termsel_studies.pages import latex, markdown, remarks_of, tables_of
 from termsel_studies.small import small_map
 
 log = logging.getLogger(__name__)
@@ -52,7 +52,8 @@ def _document(study: Study, charts: list[Figure], pictures: dict[str, str], *,
             drawn = [pictures.get(key, "") for key in table.keys] if pictures else ()
             images.append(replace(table, keys=(), pictures=drawn))
     legend = [_SMALL] if pictures and images else []
-    reasons = reasons_of(study) if brief else []
+    rows = [row for row in study.rows if row["strategy"] == "auto"]
+    reasons = image_reasons(rows) if brief else []
     sections = (
         Section("What may be claimed", tuple(sentences)),
         Section("Images", (*remarks_of(study), *legend, *images, *reasons)),

@@ -12,7 +12,7 @@ from termsel.core.files.texts import csv_table
 from termsel.data.coordinates.earth import in_words
 from termsel.studies.cells.journal import CellRecord
 from termsel.studies.cells.neighbours import Batch, batch_of
-from termsel.studies.cells.verdicts import Accept, verdicts_of
+from termsel.studies.cells.verdicts import DOUBTFUL, FIT, UNFIT, Accept, verdicts_of
 
 LABELS = ("problem", "data", "split", "strategy", "model", "criterion", "solver", "seed")
 """What tells the cells of a study apart, in the order in which they vary."""
@@ -27,8 +27,22 @@ _BOTH = ("control", "n_control", "check", "n_check", "independent", "n_independe
          "n_features", "evaluations")
 _LAST = ("place", "doubt", "notes", "cell", "seconds", "cpu_seconds")
 
+_OF_IMAGES = ("data", "verdict", "why", "predicted", "predicted_low", "predicted_high",
+              "predicted_m", "independent", "n_independent", "independent_m", "blunders", "chosen",
+              "n_control", "state", "reason")
+"""First columns of a table of images."""
+
+_IN_SIX_DIGITS = ("predicted", "predicted_low", "predicted_high", "predicted_m", "independent_m",
+                  "pixel", "control", "check", "independent", "seconds", "cpu_seconds")
+"""Columns of figures that people read; a fitness, which is compared with an optimum, is whole."""
+
+_ROUNDING = 1e-9
+"""Size [px] below which an RMSE is rounding of the computation alone."""
+
 USUAL = 1 / 2
 """Share of the images from which on a note of theirs is said once."""
+
+_WORST_FIRST = ("", UNFIT, DOUBTFUL, FIT)
 
 TIMES = ("seconds", "cpu_seconds")
 """Columns that differ from run to run."""
@@ -38,6 +52,11 @@ Row = dict[str, Any]
 
 def columns_of(strategies: Sequence[str], measures: Sequence[str] = ()) -> tuple[str, ...]:
     """Return the columns of a study's table."""
+    if tuple(strategies) == ("auto",):
+        # Of images first what people look for; what tells cells of a study apart comes last.
+        further = [name for name in (*_AUTO, *_BOTH) if name not in _OF_IMAGES]
+        return (*_OF_IMAGES, *further, *measures, "place", "doubt", "notes",
+                *(name for name in LABELS if name != "data"), "cell", *TIMES)
     return (*LABELS, "state", "reason", *(_AUTO if "auto" in strategies else ()),
             *(_SEARCH if "as-asked" in strategies else ()), *_BOTH, *measures, *_LAST)
 
@@ -79,11 +98,13 @@ def _sentence(doubt: str | None) -> list[str]:
     return [f"{doubt[0].upper()}{doubt[1:]}."] if doubt else []
 
 
-def _badness(row: Row) -> tuple[int, float]:
-    """Return what sorts images worst first: those that failed, then by predicted RMSE."""
+def _badness(row: Row) -> tuple[int, int, float]:
+    """Return what sorts images worst first: by verdict, those without figures, then by RMSE."""
     # The predicted RMSE is of every image; the measured one of few.
     figure = row["predicted"] if row["predicted"] is not None else row["independent"]
-    return (0, 0.0) if figure is None else (1, -figure)
+    # Cells that are not finished have no verdict yet, and come first.
+    verdict = _WORST_FIRST.index(row["verdict"] or "")
+    return (verdict, 0, 0.0) if figure is None else (verdict, 1, -figure)
 
 
 def usual_notes(rows: Iterable[Row]) -> dict[str, int]:
@@ -111,8 +132,16 @@ def csv_of(rows: Sequence[Row], columns: Sequence[str]) -> str:
     """Return rows as CSV; lists have semicolons, and what is not known is blank."""
     lines: list[Sequence[Any]] = [columns]
     for row in rows:
-        lines.append([_cell(row[name]) for name in columns])
+        lines.append([_cell(_readable(row[name]) if name in _IN_SIX_DIGITS else row[name])
+                      for name in columns])
     return csv_table(lines)
+
+
+def _readable(value: Any) -> Any:
+    """Return a figure to six digits, and 0 for what is rounding alone."""
+    if not isinstance(value, float) or not math.isfinite(value):
+        return value
+    return 0.0 if abs(value) < _ROUNDING else float(f"{value:.6g}")
 
 
 def _cell(value: Any) -> Any:

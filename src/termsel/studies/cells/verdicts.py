@@ -3,7 +3,7 @@
 Where an accuracy is asked for, the interval of the RMSE decides: an image is fit for use where all
 of the interval meets it, unfit where none does, and doubtful between. Where none is asked for, an
 image is unfit only where it has no result or lies elsewhere, and doubtful where something
-contradicts its figures.
+contradicts its figures, or where they are known only to a factor of `WIDE`.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from termsel.core.display.numbers import rounded
 from termsel.core.errors import TermselError, counted
 from termsel.data.record.figures import MANY_INDEPENDENT, rmse_interval
 
@@ -23,6 +24,10 @@ FIT, DOUBTFUL, UNFIT = VERDICTS = "fit for use", "doubtful", "unfit"
 
 MANY_BLUNDERS = 0.2
 """Share of the points that are blunders, from which on the rest is doubted, too."""
+
+WIDE = 4.0
+"""Upper end of the 90 % interval of an RMSE by its lower end, beyond which the RMSE is not known
+within a factor of two either way: too little to say what an image is fit for."""
 
 UNLIKE = 4.0
 """RMSE by the median of the batch from which on an image stands out."""
@@ -89,20 +94,39 @@ def _verdict(row: Mapping[str, Any], accept: Accept | None, usual: float) -> tup
     if accept is None:
         if _interval(row, "px") is None:
             return DOUBTFUL, "nothing tells its accuracy"
+        against += _too_uncertain(row)
         if against:
             return DOUBTFUL, "; ".join(against)
-        return FIT, "nothing contradicts its figures"
+        return FIT, f"nothing contradicts its figures{_verified(row)}"
     interval = _interval(row, accept.unit)
     if interval is None:
         return DOUBTFUL, f"its RMSE is not known in {accept.unit}"
     low, rmse, high = interval
     asked = f"{accept.size:g} {accept.unit}"
-    figure = f"RMSE {rmse:.3g} {accept.unit} ({low:.3g} to {high:.3g})"
+    figure = f"RMSE {rounded(rmse)} {accept.unit} ({rounded(low)} to {rounded(high)})"
     if low > accept.size:
         return UNFIT, f"{figure}, and {asked} is asked for"
     if high > accept.size:
         return DOUBTFUL, "; ".join([f"{figure}, so {asked} is not certain", *against])
-    return (DOUBTFUL, "; ".join(against)) if against else (FIT, f"{figure} meets {asked}")
+    return (DOUBTFUL, "; ".join(against)) if against else (
+        FIT, f"{figure} meets {asked}{_verified(row)}")
+
+
+def _too_uncertain(row: Mapping[str, Any]) -> list[str]:
+    """Return that the RMSE of an image is known only to a factor, where its interval is so wide."""
+    interval = _interval(row, "px")
+    if interval is None or interval[2] <= WIDE * interval[0]:
+        return []
+    low, _, high = interval
+    points = counted((row["n_control"] or 0) + (row["n_check"] or 0), "point")
+    return [f"{points} leave its RMSE between {rounded(low)} and {rounded(high)} px"]
+
+
+def _verified(row: Mapping[str, Any]) -> str:
+    """Return how an RMSE is known: by independent check points, or not verified by any."""
+    number = row["n_independent"] or 0
+    return f"; {counted(number, 'independent check point')}" if number else \
+        "; not verified, as there are no independent check points"
 
 
 def _interval(row: Mapping[str, Any], unit: str) -> tuple[float, float, float] | None:
@@ -136,7 +160,8 @@ def _contradictions(row: Mapping[str, Any], usual: float) -> list[str]:
         said.append(f"{counted(blunders, 'blunder')} among {counted(points, 'point')}")
     high, measured = row["predicted_high"], row["independent"]
     if high is not None and measured is not None and measured > high:
-        said.append(f"independent check points miss it by {measured:.3g} px, more than predicted")
+        said.append(f"independent check points miss it by {rounded(measured)} px, more than "
+                    "predicted")
     interval = _interval(row, "px")
     if interval is not None and interval[1] > UNLIKE * usual:
         said.append(f"its RMSE is {interval[1] / usual:.0f} times that of the usual image")

@@ -1,0 +1,82 @@
+"""The images of a batch as people read them: a table of five columns, and the reasons."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Container, Sequence
+
+from termsel.core.display.numbers import rounded
+from termsel.core.errors import counted
+from termsel.report.blocks import TableBlock
+from termsel.studies.cells.table import Row, usual_notes
+from termsel.studies.cells.verdicts import FIT, VERDICTS
+
+_MOST_REASONS = 10
+"""Images whose reasons a terminal shows."""
+
+
+def image_table(rows: Sequence[Row]) -> TableBlock:
+    """Return one row an image: its verdict, its RMSE in px and metres, and its blunders."""
+    lines = [(image_name(row), row["verdict"] or row["state"], predicted_rmse(row), metres(row),
+              ", ".join(row["blunders"] or ())) for row in rows]
+    return TableBlock(count_of_verdicts(rows),
+                      ("image", "verdict", "RMSE [px], 90 %", "RMSE [m]", "blunders"), lines,
+                      keys=[row["cell"] for row in rows])
+
+
+def image_reasons(rows: Sequence[Row]) -> list[str]:
+    """Return why images are not fit for use, the worst first; of many only how many more."""
+    usual = usual_notes(rows)
+    lines = []
+    for row in rows:
+        reason = row["why"] or own_notes(row, usual)
+        if row["verdict"] != FIT and reason:
+            image = image_name(row)
+            lines.append(reason if reason.startswith(image) else f"{image}: {reason}")
+    more = len(lines) - _MOST_REASONS
+    return [*lines[:_MOST_REASONS], f"{more} more: study.csv has all reasons"] if more > 0 \
+        else lines
+
+
+def image_name(row: Row) -> str:
+    """Return the name of an image, with its draw of points if that is not the first."""
+    return str(row["data"]) + (f", split {row['split']}" if row["split"] else "")
+
+
+def predicted_rmse(row: Row) -> str:
+    """Return the predicted RMSE with its interval [px]; "" where it is not known."""
+    if row["predicted"] is None:
+        return ""
+    low, high = (rounded(row[name]) for name in ("predicted_low", "predicted_high"))
+    return f"{rounded(row['predicted'])} ({low} to {high})"
+
+
+def independent_rmse(row: Row) -> str:
+    """Return the RMSE at independent check points [px]; "" without any."""
+    return "" if row["independent"] is None else rounded(row["independent"])
+
+
+def metres(row: Row) -> str:
+    """Return the RMSE on the ground: predicted, or else of independent check points."""
+    size = row["independent_m"] if row["predicted_m"] is None else row["predicted_m"]
+    return "" if size is None else rounded(size)
+
+
+def count_of_verdicts(rows: Sequence[Row]) -> str:
+    """Return how many images there are, and how many have which verdict."""
+    verdicts = Counter(row["verdict"] for row in rows if row["verdict"])
+    counts = ", ".join(f"{verdicts[verdict]} {verdict}" for verdict in VERDICTS
+                       if verdicts[verdict])
+    return f"{counted(len(rows), 'image')}, worst first" + (f": {counts}" if counts else "")
+
+
+def own_notes(row: Row, usual: Container[str]) -> str:
+    """Return why an image has no result, or the doubts about it and notes that few images have."""
+    notes = [note for note in row["notes"] or () if note not in usual]
+    text = "" if row["reason"] and row["why"] else row["reason"] or " ".join(notes)
+    # A note repeats a doubt with what to do about it: the longer one is enough.
+    if row["doubt"] and row["doubt"] in (row["why"] or ""):
+        return text
+    doubts = re.split(r"(?<=[.?]) (?=[A-Z])", row["doubt"] or "")
+    return " ".join([*(doubt for doubt in doubts if doubt and doubt not in text), text]).strip()
