@@ -36,7 +36,7 @@ def row(**figures: Any) -> dict[str, Any]:
     ({"state": "failed", "reason": "too few points"}, None, UNFIT, "too few points"),
     ({}, None, FIT, "nothing contradicts its figures; not verified"),
     ({"n_independent": 4}, None, FIT, "nothing contradicts its figures; 4 independent check"),
-    ({"predicted_low": 0.3}, None, DOUBTFUL, "12 points leave its RMSE between 0.30 and 1.50 px"),
+    ({"predicted_low": 0.3}, None, DOUBTFUL, "12 points leave its RMSE between 0.30 and 1.50"),
     ({"predicted_low": 0.3}, "2px", FIT, "meets 2 px; not verified")])
 def test_the_interval_decides_and_what_contradicts_it(
         figures: dict[str, Any], accept: str | None, verdict: str, why: str) -> None:
