@@ -18,8 +18,8 @@ from termsel.testing import invoke
 def row(**figures: Any) -> dict[str, Any]:
     return {"strategy": "auto", "state": "done", "reason": "", "doubt": "", "notes": None,
             "predicted": 1.0, "predicted_low": 0.7, "predicted_high": 1.5, "independent": None,
-            "n_independent": 0, "pixel": 2.0, "blunders": [], "n_control": 12, "n_check": 0, "excluded": 0,
-            **figures}
+            "n_independent": 0, "pixel": 2.0, "blunders": [], "n_control": 12, "n_check": 0,
+            "excluded": 0, **figures}
 
 
 @pytest.mark.parametrize(("figures", "accept", "verdict", "why"), [
