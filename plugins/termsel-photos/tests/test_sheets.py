@@ -21,6 +21,7 @@ from termsel_photos.sheets.candidates import projections_of_file, usual_projecti
 from termsel_photos.sheets.choosing import chosen_of, tried_projections
 from termsel_photos.sheets.meridians import meridian_of
 from termsel_photos.sheets.paper import Sheet, matrix_of, paper_of, values_of
+from termsel_photos.sheets.reading import candidates_of, from_greenwich
 from termsel_photos.sheets.series import SHEET_OF_SERIES, paper_of_text, stated_paper
 from termsel_photos.sheets.series_file import in_series, series_of
 
@@ -60,6 +61,20 @@ def test_degrees_from_ferro_or_paris_are_degrees(tmp_path: Path) -> None:
         meridian_of("atlantis")
     with pytest.raises(TermselError, match="longitudes in degrees"):
         termsel.read(path, crs="local", prime_meridian="paris")
+
+
+def test_a_map_across_180_degrees_has_candidates_of_its_place() -> None:
+    points = Points(("A", "B", "C"), np.zeros((3, 2)),
+                    np.array([[176.0, -15.0, np.nan], [-177.0, -17.0, np.nan],
+                              [178.0, -20.0, np.nan]]))
+    features = FeatureSet(points, crs="EPSG:4326")
+    candidates = candidates_of([features], None, None)
+    assert "+lon_0=179.50000" in candidates[0].crs
+    assert candidates[-1].crs == "EPSG:32760"
+    # 140 deg west of Washington is 142.95 deg east of Greenwich.
+    west = features.with_(points=replace(points, ground=np.array([
+        [-140.0, 50.0, np.nan], [-139.0, 50.5, np.nan], [-140.0, 51.0, np.nan]])))
+    assert from_greenwich(west, -77.05).points.ground[0, 0] == pytest.approx(142.95)
 
 
 def test_the_projection_of_a_map_is_found(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from termsel import TermselError
 from termsel.toolkit import FloatArray, normalise, read_text
 
@@ -42,7 +40,7 @@ def usual_projections(ground: FloatArray, century: int | None = None) -> list[Pr
     """
     west, south = ground.min(axis=0)
     east, north = ground.max(axis=0)
-    lon = (west + east) / 2.0
+    lon = ((west + east) / 2.0 + 180.0) % 360.0 - 180.0
     lat = (south + north) / 2.0
     sixth = max((north - south) / 6.0, 1e-3)
     first_parallel = lat - 2.0 * sixth
@@ -52,7 +50,7 @@ def usual_projections(ground: FloatArray, century: int | None = None) -> list[Pr
     conic = (f"+lat_1={first_parallel:.5f} +lat_2={second_parallel:.5f} +lat_0={lat:.5f} "
              f"{at} {earth}")
     around = f"+lat_0={lat:.5f} {at} {earth}"
-    zone = int(np.clip((lon + 180.0) // 6.0 + 1.0, 1, 60))
+    zone = int((lon + 180.0) // 6.0) + 1
     projections = [
         Projection("equirectangular", f"+proj=eqc +lat_ts={lat:.5f} {at} {earth}"),
         Projection("plate carree", f"+proj=eqc +lat_ts=0 {at} {earth}", last=18),

@@ -60,14 +60,15 @@ def tried_projections(sheets: Sequence[FeatureSet],
     return sorted(ranked, key=lambda projection: projection.rmse)
 
 
-def chosen_of(ranked: Sequence[Tried], candidates: Sequence[Projection]) -> Tried:
+def chosen_of(ranked: Sequence[Tried], candidates: Sequence[Projection],
+              nearly: float = NEARLY) -> Tried:
     """Return the projection that is taken: of those that predict alike the first candidate."""
     best = ranked[0].rmse
     if not np.isfinite(best):
         raise TermselError("in no projection the points determine a model",
                            hint="Measure more points, spread over the map.")
     nearly_best = {projection.crs: projection for projection in ranked
-             if projection.rmse <= NEARLY * best}
+             if projection.rmse <= nearly * best}
     return next(nearly_best[candidate.crs] for candidate in candidates
                 if candidate.crs in nearly_best)
 

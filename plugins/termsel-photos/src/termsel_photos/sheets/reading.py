@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,6 +18,9 @@ from termsel_photos.sheets.candidates import (
     usual_projections,
 )
 from termsel_photos.sheets.meridians import MERIDIANS, meridian_of
+
+if TYPE_CHECKING:
+    from termsel_photos.sheets.choosing import Tried
 
 log = logging.getLogger(__name__)
 
@@ -66,12 +69,26 @@ class SheetOptions:
                                    values.get("map_century"))
         ranked = tried_projections([features], candidates)
         best = chosen_of(ranked, candidates)
-        next_best = [projection for projection in ranked if projection is not best][:_NEXT]
-        log.warning("Note: of %d projections %s predicts the points best: %.3g px (%s). "
-                    "Coordinates stay in %s.", len(ranked), best.name, best.rmse,
-                    ", ".join(f"{projection.name} {projection.rmse:.3g} px"
-                              for projection in next_best), features.crs)
+        log.warning("Note: of %d projections %s Coordinates stay in %s.", len(ranked),
+                    _in_words(ranked, best), features.crs)
         return replace(features, fit_crs=normalise(best.crs))
+
+
+def _in_words(ranked: Sequence[Tried], taken: Tried) -> str:
+    """Return which projection is taken, next to which ones."""
+    from termsel_photos.sheets.choosing import NEARLY
+
+    def named(projections: Sequence[Tried]) -> str:
+        return ", ".join(f"{projection.name} {projection.rmse:.3g} px"
+                         for projection in projections)
+
+    best = ranked[0]
+    if best is taken:
+        return (f"{taken.name} predicts the points best: {taken.rmse:.3g} px "
+                f"({named(ranked[1:1 + _NEXT])}).")
+    return (f"{taken.name} is taken: {taken.rmse:.3g} px. Of those that predict within "
+            f"{100 * (NEARLY - 1.0):.0f} % of the best ({named([best])}) it is the first of the "
+            "list.")
 
 
 def _of_series(features: FeatureSet, values: Mapping[str, Any]) -> FeatureSet:
@@ -95,7 +112,11 @@ def from_greenwich(features: FeatureSet, meridian: float) -> FeatureSet:
     if not is_geographic(features.crs):
         raise TermselError(f"longitudes in degrees have a prime meridian, not {features.crs}",
                            hint="Leave prime_meridian out, or state --crs EPSG:4326.")
-    shift = [meridian, 0.0, 0.0]
+    longitudes = np.concatenate([features.points.ground[:, 0],
+                                 features.lines.ground[..., 0].ravel()])
+    # Whole turns, lest a map west of its meridian by more than that comes to lie below -180.
+    turns = np.floor((np.median(longitudes) + meridian + 180.0) / 360.0) if len(longitudes) else 0.0
+    shift = [meridian - 360.0 * turns, 0.0, 0.0]
     points = replace(features.points, ground=features.points.ground + shift)
     lines = replace(features.lines, ground=features.lines.ground + shift)
     return features.with_(points=points, lines=lines)
@@ -110,12 +131,17 @@ def candidates_of(sheets: list[FeatureSet], file: str | None,
 
 
 def places_of_sheets(sheets: list[FeatureSet]) -> FloatArray:
-    """Return the south-western and north-eastern corner of all sheets [deg], (2, 2)."""
-    corners = []
+    """Return the south-western and north-eastern corner of all sheets [deg], (2, 2).
+
+    Across 180 degrees the eastern longitude is larger than that.
+    """
+    vertices = []
     for sheet in sheets:
         ground = sheet.ground_vertices().copy()
         ground[:, 2] = 0.0
-        degrees = to_wgs84(sheet.crs)(ground)[:, :2]
-        corners += [degrees.min(axis=0), degrees.max(axis=0)]
-    all_corners = np.array(corners)
-    return np.stack([all_corners.min(axis=0), all_corners.max(axis=0)])
+        vertices.append(to_wgs84(sheet.crs)(ground)[:, :2])
+    degrees = np.concatenate(vertices)
+    # Less than half a turn from the first.
+    first = degrees[0, 0]
+    degrees[:, 0] = first + (degrees[:, 0] - first + 180.0) % 360.0 - 180.0
+    return np.stack([degrees.min(axis=0), degrees.max(axis=0)])
