@@ -22,7 +22,7 @@ from benchmarks.block_kinds import drawn as block_of
 from benchmarks.kept import resumed
 from benchmarks.oblique import scene as oblique_scene
 from benchmarks.sets import put
-from benchmarks.unlike_maps import unlike_map
+from benchmarks.unlike_maps import SIZE, drawn_by_hand, unlike_map
 from termsel.auto.auto import Auto
 from termsel.core.threads import one_blas_thread
 from termsel.data.features import FeatureSet, FloatArray, Points
@@ -43,6 +43,8 @@ MORE_OF_FEW = 3
 PLACES = 200
 RANGES = replace(FRESH, number=56)
 PLAINS = replace(RANGES, relief=(1e-5, 2e-4))
+MATCHED = replace(FRESH, number=57, noise=(0.05, 0.2))
+SMALL = replace(FRESH, number=58, size=(800, 2500), noise=(0.3, 0.6))
 SHEET_SIZE = np.array([4000.0, 5000.0])
 
 Drawn = tuple[FeatureSet, FloatArray, FloatArray]
@@ -109,6 +111,55 @@ def scene(name: str) -> Callable[[int, int], Drawn]:
     return draw
 
 
+def shifted(count: int, seed: int, noise: float,
+            shifts: Callable[[Generator, FloatArray], FloatArray]) -> Drawn:
+    """Return a sheet whose places, in shares of its sides (n, 2), are shifted [px]."""
+    rng = np.random.default_rng([57, count, seed])
+    share = rng.uniform(0.02, 0.98, (count + PLACES, 2))
+    image = share * SHEET_SIZE + shifts(rng, share)
+    ground = np.column_stack([5e5 + 3.0 * SHEET_SIZE[1] * share[:, 1],
+                              5e6 - 3.0 * SHEET_SIZE[0] * share[:, 0],
+                              np.full(len(share), np.nan)])
+    measured = image[:count] + rng.normal(0.0, noise, (count, 2))
+    points = Points(tuple(map(str, range(count))), measured, ground[:count])
+    return FeatureSet(points, crs="EPSG:32633"), ground[count:], image[count:]
+
+
+def torn(count: int, seed: int) -> Drawn:
+    """Return a sheet that was torn along a slanting line, and joined again by eye."""
+    def shifts(rng: Generator, share: FloatArray) -> FloatArray:
+        direction = rng.standard_normal(2)
+        beyond = (share - rng.uniform(0.3, 0.7, 2)) @ direction > 0.0
+        turned = (share - 0.5) @ rng.normal(0.0, 3.0, (2, 2))
+        return np.where(beyond[:, None], rng.normal(0.0, 3.0, 2) + turned, 0.0)
+    return shifted(count, seed, 0.6, shifts)
+
+
+def bumpy(count: int, seed: int) -> Drawn:
+    """Return a sheet that is stretched at one place, as where it was wet."""
+    def shifts(rng: Generator, share: FloatArray) -> FloatArray:
+        away = share - rng.uniform(0.2, 0.8, 2)
+        return np.asarray(40.0 * away * np.exp(-0.5 * (away**2).sum(axis=1, keepdims=True)
+                                               / 0.15**2))
+    return shifted(count, seed, 0.4, shifts)
+
+
+def drawn_with(size: float, length: float, smoothness: float,
+               noise: float) -> Callable[[int, int], Drawn]:
+    """Return what draws sheets with local errors of a size [px], length and smoothness."""
+    def draw(count: int, seed: int) -> Drawn:
+        return shifted(count, seed, noise, lambda rng, share: drawn_by_hand(
+            rng, share * SIZE.max(), size, length, smoothness))
+    return draw
+
+
+def in_swaths(count: int, seed: int) -> Drawn:
+    """Return a sheet that was scanned in eight swaths, each with a shift of its own."""
+    def shifts(rng: Generator, share: FloatArray) -> FloatArray:
+        return np.asarray(rng.normal(0.0, 1.2, (8, 2))[(8 * share[:, 1]).astype(int)])
+    return shifted(count, seed, 0.4, shifts)
+
+
 def oblique(count: int, seed: int) -> Drawn:
     """Return an oblique photo."""
     angle = (15, 25, 35)[seed % 3]
@@ -132,15 +183,24 @@ KINDS: dict[str, Callable[[int, int], Drawn]] = {
 }
 LOOKED_AT = (*KINDS, *(f"map, {kind}" for kind in (
     "hand-drawn", "folded", "atlas", "two sheets", "strip", "photo of a map", "good map")),
-    "agile", "airborne", "panoramic", "radar")
+    "agile", "airborne", "panoramic", "radar", "photo, matched", "satellite, matched")
 KINDS |= {
     **{name: unlike(name.removeprefix("map, ")) for name in LOOKED_AT if name.startswith("map, ")},
     **{kind: camera(kind) for kind in ("agile", "airborne", "panoramic", "radar")},
+    "photo, matched": camera("frame", MATCHED),
+    "satellite, matched": camera("steady", MATCHED),
     "map, sketch": unlike("sketch"),
     "map, mild": unlike("mild"),
     "sheet, bent, drafted": bent(4.3, 5.0, noise=2.0),
     "sheet, bent, matched": bent(4.4, 0.5, noise=0.1),
     "sheet, plane, drafted": bent(4.5, 0.0, noise=2.0),
+    # Drawn when the rules of 20 points and more, and of cameras, were fixed.
+    "sheet, torn": torn,
+    "sheet, one bump": bumpy,
+    "sheet, rough": drawn_with(4.0, 0.25, 1.0, 0.7),
+    "scan in swaths": in_swaths,
+    "shaking scanner, small": camera("cubesat", SMALL),
+    "airborne, small": camera("airborne", SMALL),
     **{f"scene, {name}": scene(name) for name in (
         "ikonos-hamedan", "spot-isfahan", "irs1c-mashad", "cartosat-hyderabad")}}
 BLOCK = "block of three, one without control"

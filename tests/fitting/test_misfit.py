@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 import termsel
 from termsel.data.features import FeatureSet, FloatArray, Points
-from termsel.fitting.misfit import misfit_of, mixed_misfit
+from termsel.fitting.misfit import NoisePrior, matern, misfit_of, mixed_misfit
 from termsel.fitting.next_places import rank_places
 from termsel.fitting.scene import scene_grid
 from termsel.io.plan import plan
@@ -52,6 +53,11 @@ def ratio(model: str, n: int, amplitude: float, seeds: range) -> float:
     return float(np.sqrt(np.mean(squares)))
 
 
+def noise_prior(pixel: float, sigma: FloatArray | None = None) -> NoisePrior:
+    """Return what is known of the noise of maps."""
+    return NoisePrior.of(pixel, sigma, with_heights=False)
+
+
 @pytest.mark.parametrize(("model", "n", "amplitude"), [
     ("projective", 30, 1.5), ("projective", 40, 0.0), ("tps", 30, 1.5), ("field", 12, 2.0)])
 def test_errors_are_of_the_size_that_is_stated(model: str, n: int, amplitude: float) -> None:
@@ -69,7 +75,7 @@ def test_a_scatter_of_pixels_among_few_points_is_rather_misfit_than_noise() -> N
     places = rng.uniform(-0.7, 0.7, (50, 2))
     shares = []
     for scatter in (0.3, 1.0, 3.0, 10.0):  # px
-        missed = misfit_of(image, residuals, None, 6.0, 1.0 / scatter)
+        missed = misfit_of(image, residuals, noise_prior(1.0 / scatter), 6.0)
         assert missed is not None
         shares.append(missed.squares(places).mean())
     assert shares == sorted(shares)
@@ -81,7 +87,7 @@ def test_stated_deviations_of_measurements_are_what_is_known_of_the_noise() -> N
     rng = np.random.default_rng(6)
     image = rng.uniform(-1.0, 1.0, (12, 2))
     residuals = rng.normal(0.0, 1.0, (12, 2))
-    precise, rough = (misfit_of(image, residuals, np.full((12, 2), sigma), 6.0, 0.01)
+    precise, rough = (misfit_of(image, residuals, noise_prior(0.01, np.full((12, 2), sigma)), 6.0)
                       for sigma in (0.05, 1.0))
     assert precise is not None
     assert rough is not None
@@ -91,7 +97,7 @@ def test_stated_deviations_of_measurements_are_what_is_known_of_the_noise() -> N
 def test_what_is_mixed_is_missed_by_the_mean_of_the_squares() -> None:
     rng = np.random.default_rng(7)
     image = rng.uniform(-1.0, 1.0, (20, 2))
-    first, second = (misfit_of(image, rng.normal(0.0, size, (20, 2)), None, 6.0, 1.0)
+    first, second = (misfit_of(image, rng.normal(0.0, size, (20, 2)), noise_prior(1.0), 6.0)
                      for size in (1.0, 3.0))
     assert first is not None
     assert second is not None
@@ -114,14 +120,68 @@ def test_the_uncertainty_is_less_where_the_control_shows_the_misfit() -> None:
     assert covariance[0, 0] < 0.7 * covariance[1, 1]
 
 
-def test_noise_alone_has_no_misfit() -> None:
+def test_noise_alone_has_no_misfit_that_matters() -> None:
     rng = np.random.default_rng(3)
     image = rng.uniform(-1.0, 1.0, (120, 2))
-    found = misfit_of(image, rng.normal(0.0, 1.0, (120, 2)), None, 6.0, 2.0)
-    assert found is not None
-    assert found.probability < 0.1
-    assert misfit_of(image[:5], image[:5], None, 6.0, 2.0) is None
-    assert misfit_of(image, np.zeros((120, 2)), None, 6.0, 2.0) is None
+    missed = misfit_of(image, rng.normal(0.0, 1.0, (120, 2)), noise_prior(2.0), 6.0)
+    assert missed is not None
+    assert missed.squares(rng.uniform(-1.0, 1.0, (100, 2))).mean() < 0.03
+    assert misfit_of(image[:5], image[:5], noise_prior(2.0), 6.0) is None
+    assert misfit_of(image, np.zeros((120, 2)), noise_prior(2.0), 6.0) is None
+
+
+def test_what_lines_have_in_common_is_no_noise_however_fast_it_changes() -> None:
+    rng = np.random.default_rng(8)
+    image = rng.uniform(-1.0, 1.0, (160, 2))
+    shaken = 3.0 * np.sin(100.0 * image[:, :1] + [0.0, 1.0]) + rng.normal(0.0, 0.5, (160, 2))
+    missed = misfit_of(image[:60], shaken[:60], noise_prior(1.0), 6.0)
+    assert missed is not None
+    assert 0.8 < np.sqrt((shaken[60:]**2 / (missed.squares(image[60:]) + 0.25)).mean()) < 1.2
+
+
+def test_a_scatter_of_pixels_is_rather_misfit_in_images_of_cameras_than_on_maps() -> None:
+    rng = np.random.default_rng(9)
+    image = rng.uniform(-1.0, 1.0, (12, 2))
+    residuals = rng.normal(0.0, 3.0, (12, 2))
+    camera, drawing = (misfit_of(image, residuals, NoisePrior.of(1.0, None, with_heights=heights),
+                                 6.0) for heights in (True, False))
+    assert camera is not None
+    assert drawing is not None
+    assert camera.squares(image).mean() > 1.2 * drawing.squares(image).mean()
+
+
+def rough_or_smooth(smoothness: float, seed: int) -> tuple[FeatureSet, FloatArray, FloatArray]:
+    """Return control of a sheet with local errors of 8 px, and 100 places where it shows them."""
+    rng = np.random.default_rng([10, seed])
+    share = rng.uniform(0.02, 0.98, (160, 2))
+    root = np.linalg.cholesky(matern(share, share, (0.3, 0.3), smoothness) + 1e-9 * np.eye(160))
+    image = share * SIZE + 8.0 * root @ rng.standard_normal((160, 2))
+    ground = np.column_stack([500_000 + 3 * SIZE[1] * share[:, 1], 5e6 - 3 * SIZE[0] * share[:, 0],
+                              np.full(160, np.nan)])
+    measured = image[:60] + rng.normal(0.0, NOISE, (60, 2))
+    points = Points(tuple(f"P{i}" for i in range(60)), measured, ground[:60])
+    return FeatureSet(points, crs="EPSG:32633"), ground[60:], image[60:]
+
+
+@pytest.mark.parametrize("smoothness", [0.5, np.inf])
+@pytest.mark.parametrize("model", ["tps", "field"])
+def test_errors_of_local_models_are_stated_for_rough_and_for_smooth_sheets(
+        model: str, smoothness: float) -> None:
+    squares = []
+    for seed in range(4):
+        features, ground, truth = rough_or_smooth(smoothness, seed)
+        fitted = termsel.fit(features, model)
+        squares.append((((fitted.project(ground) - truth) / fitted.sigma(ground))**2).mean())
+    assert 0.8 < np.sqrt(np.mean(squares)) < 1.25
+
+
+def test_few_points_of_unknown_noise_say_that_they_do_not_tell_it_from_deformation() -> None:
+    features, _, _ = sheet(12, 2.0, 5)
+    fitted = termsel.fit(features, "projective")
+    assert fitted.uncertainty_caveat.startswith("12 control points do not tell noise from local")
+    known = replace(features, points=replace(features.points, sigma=np.full((12, 2), 0.5)))
+    assert termsel.fit(known, "projective").uncertainty_caveat == ""
+    assert termsel.fit(sheet(40, 2.0, 5)[0], "projective").uncertainty_caveat == ""
 
 
 def test_a_thousand_points_are_enough_to_know_it() -> None:

@@ -26,7 +26,8 @@ from termsel.data.record.figures import Rmse
 from termsel.data.scaling import Scaling, scaling_of
 from termsel.data.view import CentralView, view_of
 from termsel.fitting.extrapolation import by_heights
-from termsel.fitting.misfit import Misfit, misfit_of, mixed_misfit
+from termsel.fitting.local_courses import LocalCourses, local_courses
+from termsel.fitting.misfit import Misfit, NoisePrior, misfit_of, mixed_misfit
 from termsel.fitting.residuals import Residuals, control_residuals, rmse_of
 from termsel.fitting.uncertainty import (
     Experience,
@@ -39,6 +40,10 @@ from termsel.models.base import SensorModel
 
 MISFIT_BATCH = 2000
 """Places whose covariances are held in memory."""
+
+UNDECIDED_POINTS, UNDECIDED = 20, 0.1
+"""Below so many points, a probability of local deformation between this and one less this is said
+to be undecided."""
 
 
 class Undetermined(TermselError):
@@ -470,18 +475,35 @@ class Fit(Glance):
         """
         original = self.original or self
         points = self._ground_points(ground)
-        spread = original.estimator.spread(original, original.scaling.ground(points))
-        misfit = original.missed_at(points)
-        # Variances add: of the coefficients, of what the model does not fit, of a measurement where
-        # one is asked for.
-        variance = (spread.variance + misfit
-                    + spread.noise * measured) * self.scaling.image_scale ** 2
+        squares, noise = original._mean_squares(points)
+        variance = (squares + noise * measured) * self.scaling.image_scale ** 2
         # Errors of the heights of the control are errors of the model, too.
         variance += by_heights(original.control.take(original.used), original.scaling,
                                original.project, points)
         sigma = self._nan_where_unknown(np.sqrt(variance), points)
         sigma[self.unseen(points)] = np.nan
         return sigma
+
+    def _mean_squares(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return mean square errors of places (m, 3) and of a measurement, scaled: (m, 2), (2,)."""
+        scaled_ground = self.scaling.ground(ground)
+        courses = self.local_courses
+        if courses is None:
+            spread = self.estimator.spread(self, scaled_ground)
+            # Variances add: of the coefficients, and of what the model does not fit.
+            return spread.variance + self.missed_at(ground), spread.noise
+        image = self.scaling.image(self._computed(ground))
+        squares = np.empty(image.shape)
+        for batch in np.array_split(np.arange(len(ground)), len(ground) // MISFIT_BATCH + 1):
+            squares[batch] = courses.squares(scaled_ground[batch], image[batch])
+        return squares, np.full(2, courses.noise)
+
+    @cached_property
+    def local_courses(self) -> LocalCourses | None:
+        """What control points in a plane tell of the truth of a local model, or None."""
+        if self.model.uses_height or self.interpolation is None:
+            return None
+        return local_courses(self._scaled_used.points, 1.0 / self.scaling.image_scale)
 
     def missed_at(self, ground: FloatArray) -> FloatArray:
         """Return the mean square of what the model does not fit at places (m, 3), scaled (m, 2)."""
@@ -508,10 +530,28 @@ class Fit(Glance):
         points = control.points
         image = self.scaling.image(self._computed(
             self.control.take(self.used).points.ground))
-        misfits = [(each.chance, misfit_of(image, each.residuals, points.sigma, each.effective,
-                                           1.0 / self.scaling.image_scale))
+        noise = NoisePrior.of(1.0 / self.scaling.image_scale, points.sigma,
+                              with_heights=self.model.uses_height)
+        misfits = [(each.chance, misfit_of(image, each.residuals, noise, each.effective))
                    for each in self.estimator.unexplained(self, points.image - image)]
         return mixed_misfit([(chance, misfit) for chance, misfit in misfits if misfit is not None])
+
+    @property
+    def uncertainty_caveat(self) -> str:
+        """What the control does not tell of its own noise, as a sentence; "" where it tells it.
+
+        Few residuals of unknown noise are noise or local deformation, and `sigma` is a mean of
+        both.
+        """
+        original = self.original or self
+        points = original.control.take(original.used).points
+        misfit = original.misfit
+        if misfit is None or points.sigma is not None or len(points) >= UNDECIDED_POINTS \
+                or not UNDECIDED < misfit.probability < 1.0 - UNDECIDED:
+            return ""
+        return (f"{len(points)} control points do not tell noise from local deformation: with "
+                "noise alone the standard deviation is smaller, with local deformation larger. "
+                "More points, or columns sigma_line and sigma_sample, would tell.")
 
     def _ground_points(self, ground: ArrayLike) -> FloatArray:
         """Return ground points (n, 3); a plane model also takes them without heights."""

@@ -21,8 +21,10 @@ it is as large as it can be.
 
 Few residuals do not tell a field of short length from noise. Then their scatter is divided by what
 is known beforehand: a measurement in an image is good to about half a pixel, and a scatter of
-several pixels is rather what the model does not fit. Of a local model, which fits fields itself,
-r are its errors of points held out, of the size of the noise that it sees.
+several pixels is rather what the model does not fit, in images of cameras more so than on maps that
+somebody has drawn. Of a local model, which fits fields itself, r are its errors of points held out,
+of the size of the noise that it sees; in a plane, from 20 points on, it is judged by
+`termsel.fitting.local_courses` instead.
 
 References
 ----------
@@ -39,21 +41,30 @@ import numpy as np
 
 from termsel.data.features import FloatArray
 
-MISFIT_LENGTHS = ((0.2, 0.2), (0.4, 0.4), (0.8, 0.8), (0.15, 2.0), (2.0, 0.15))
-"""Lengths of line and sample, by the half-range of the image; the last two are those of scanners
-that shake and of strips."""
+MISFIT_LENGTHS = ((0.07, 0.07), (0.2, 0.2), (0.4, 0.4), (0.8, 0.8),
+                  (0.15, 2.0), (2.0, 0.15), (0.05, 2.0), (2.0, 0.05), (0.015, 2.0), (2.0, 0.015))
+"""Lengths of line and sample, by the half-range of the image; the last six are those of scanners
+that shake and of strips. The shortest are shorter than the distances of most control: what changes
+so fast is known from noise by pairs of points that are near, or share a line, and else by its
+size."""
 
 MISFIT_RATIOS = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 12.8)
 """Standard deviations of the field by that of the noise, all as likely beforehand."""
 
-MISFIT_PROBABILITY = 0.36
-"""Probability of a field of these sizes before the residuals are looked at. A field is as likely as
-none, and of any order of magnitude from a hundredth of the noise to ten times: what is less than a
-tenth counts as none."""
+MISFIT_PROBABILITY = 0.3
+"""Probability of a field of these sizes before the residuals are looked at. What is less than a
+tenth of the noise counts as none."""
 
-NOISE_MEDIAN, NOISE_LOG_DEVIATION = 0.5, 1.0
-"""Median of the noise beforehand [px], and the standard deviation of its logarithm: from a
-fourteenth of a pixel, of matches, to 3.6 px, of points in old maps, with a probability of 95 %."""
+NOISE_MEDIAN = 0.5
+"""Median of the noise beforehand [px]."""
+
+NOISE_LOG_DEVIATION = 1.0
+"""Standard deviation of its logarithm where heights do not count: from a fourteenth of a pixel, of
+matches, to 3.6 px, of points in old maps, with a probability of 95 %."""
+
+CAMERA_NOISE_LOG_DEVIATION = 0.5
+"""The same above the median where heights count: noise is below 1.3 px. What a camera shows nobody
+has drawn, so that a scatter of several pixels is not that of measurements."""
 
 NOISE_BY_SCATTER = np.geomspace(0.03, 3.0, 24)
 """Noises that are tried, by the scatter of the residuals."""
@@ -69,6 +80,45 @@ QUADRATIC_TREND_POINTS = 20
 
 NEGLIGIBLE_SHARE = 1e-4
 """Probability of a solution that is left out."""
+
+
+@dataclass(frozen=True, eq=False)
+class NoisePrior:
+    """What is known of the noise of measurements before residuals are looked at.
+
+    Attributes
+    ----------
+    pixel : float
+        In scaled coordinates.
+    sigma : ndarray, shape (n, 2), or None
+        Standard deviations of the measurements, scaled, if known.
+    log_deviation : float
+        Standard deviation of the logarithm of the noise where it is above its median.
+    """
+
+    pixel: float
+    sigma: FloatArray | None
+    log_deviation: float
+
+    @classmethod
+    def of(cls, pixel: float, sigma: FloatArray | None, *, with_heights: bool) -> NoisePrior:
+        """Return what is known of the noise of an image whose heights count, or do not."""
+        return cls(pixel, sigma,
+                   CAMERA_NOISE_LOG_DEVIATION if with_heights else NOISE_LOG_DEVIATION)
+
+    def log_probability(self, noises: FloatArray) -> FloatArray:
+        """Return logarithms of how likely noises (s,) are; the probabilities add up to one."""
+        median = NOISE_MEDIAN * self.pixel if self.sigma is None else float(np.median(self.sigma))
+        excess = np.log(noises / median)
+        deviation = np.where(excess > 0.0, self.log_deviation, NOISE_LOG_DEVIATION)
+        logs = -0.5 * (excess / deviation) ** 2
+        return np.asarray(logs - np.logaddexp.reduce(logs))
+
+    def relative_variances(self, n: int) -> FloatArray:
+        """Return the variances of n measurements by that of a usual one, (n,)."""
+        if self.sigma is None:
+            return np.ones(n)
+        return np.asarray((self.sigma**2).mean(axis=1) / np.median(self.sigma**2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,35 +173,32 @@ class Misfit:
         return total
 
 
-def misfit_of(image: FloatArray, residuals: FloatArray, sigma: FloatArray | None,
-              effective: float | None, pixel: float) -> Misfit | None:
+def misfit_of(image: FloatArray, residuals: FloatArray, noise: NoisePrior,
+              effective: float | None) -> Misfit | None:
     """Return what a model does not fit, from the residuals of its control (n, 2); None if few.
 
-    The image (n, 2) is where the model sees the control, all scaled, as is a `pixel`; `sigma`
-    (n, 2) are standard deviations of the measurements, if known, and `effective` the parameters of
-    both axes together, None where the residuals are not less for them.
+    The image (n, 2) is where the model sees the control, all scaled; `effective` are the parameters
+    of both axes together, None where the residuals are not less for them.
     """
     if len(image) > MISFIT_MAX_POINTS:
         rows = np.linspace(0, len(image) - 1, MISFIT_MAX_POINTS).round().astype(int)
         effective = None if effective is None else effective * MISFIT_MAX_POINTS / len(image)
         image = image[rows]
         residuals = residuals[rows]
-        sigma = None if sigma is None else sigma[rows]
+        noise = noise if noise.sigma is None else replace(noise, sigma=noise.sigma[rows])
     n = len(image)
-    trend = _trend(image)
+    trend = trend_of(image, len(image))
     freedom = n - trend.shape[1]
     effective = 2.0 * trend.shape[1] if effective is None else effective
     if n < MISFIT_MIN_POINTS or 2 * n - effective < 2.0 or freedom < 2 or not residuals.any():
         return None
     # The model has taken up more than the trend: as much larger its residuals would be else.
     residuals = residuals * np.sqrt(2 * freedom / (2 * n - effective))
-    precise = np.ones(n) if sigma is None else (sigma**2).mean(axis=1) / np.median(sigma**2)
-    expected = NOISE_MEDIAN * pixel if sigma is None else float(np.median(sigma))
+    precise = noise.relative_variances(n)
     noises = NOISE_BY_SCATTER * np.sqrt((residuals**2).mean())
-    log_prior = -0.5 * (np.log(noises / expected) / NOISE_LOG_DEVIATION) ** 2
-    log_prior -= np.logaddexp.reduce(log_prior)
+    log_prior = noise.log_probability(noises)
     logs = [np.log(1.0 - MISFIT_PROBABILITY) + log_prior
-            + _restricted_likelihood(np.diag(precise), trend, residuals, noises)[0].sum(axis=0)]
+            + restricted_likelihood(np.diag(precise), trend, residuals, noises)[0].sum(axis=0)]
     fields = []
     for lengths in MISFIT_LENGTHS:
         ratio_logs, projections = _by_ratios(lengths, image, np.diag(precise), trend, residuals,
@@ -188,7 +235,7 @@ def _by_ratios(lengths: tuple[float, float], image: FloatArray, precise: FloatAr
     logs = []
     projections = []
     for ratio in MISFIT_RATIOS:
-        log, projection = _restricted_likelihood(precise + ratio**2 * correlation, trend, residuals,
+        log, projection = restricted_likelihood(precise + ratio**2 * correlation, trend, residuals,
                                                  noises)
         logs.append(log - np.log(len(MISFIT_RATIOS)))
         projections.append(projection)
@@ -206,8 +253,8 @@ def _solution(lengths: tuple[float, float], shares: FloatArray, projections: Flo
                     shares.sum(axis=2), means)
 
 
-def _restricted_likelihood(covariance: FloatArray, trend: FloatArray, residuals: FloatArray,
-                           noises: FloatArray) -> tuple[FloatArray, FloatArray]:
+def restricted_likelihood(covariance: FloatArray, trend: FloatArray, residuals: FloatArray,
+                          noises: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the restricted log likelihood of line and sample for each noise, (2, s), and P."""
     lower = np.linalg.cholesky(covariance)
     inverse = np.linalg.inv(lower)
@@ -221,17 +268,26 @@ def _restricted_likelihood(covariance: FloatArray, trend: FloatArray, residuals:
     return log - np.log(np.diag(lower)).sum() - np.log(np.abs(np.diag(r))).sum(), projection
 
 
-def _trend(image: FloatArray) -> FloatArray:
+def trend_of(image: FloatArray, n_points: int) -> FloatArray:
+    """Return the columns at places (m, 2) of the trend that so many points determine."""
     line, sample = image.T
     columns = [np.ones(len(image)), line, sample]
-    if len(image) >= QUADRATIC_TREND_POINTS:
+    if n_points >= QUADRATIC_TREND_POINTS:
         columns += [line**2, line * sample, sample**2]
     return np.column_stack(columns)
 
 
-def matern(a: FloatArray, b: FloatArray, lengths: tuple[float, float]) -> FloatArray:
-    """Return the correlations between places, shape (len(a), len(b))."""
-    scale = np.sqrt(3.0) / np.array(lengths)
-    differences = (a * scale)[:, None] - (b * scale)[None]
-    r = np.sqrt((differences**2).sum(axis=2))
+def matern(a: FloatArray, b: FloatArray, lengths: tuple[float, float],
+           smoothness: float = 1.5) -> FloatArray:
+    """Return the correlations between places, shape (len(a), len(b)).
+
+    The smoothness is 1/2, 3/2 or infinite.
+    """
+    differences = (a / np.array(lengths))[:, None] - (b / np.array(lengths))[None]
+    squares = (differences**2).sum(axis=2)
+    if smoothness == np.inf:
+        return np.asarray(np.exp(-0.5 * squares))
+    if smoothness == 0.5:
+        return np.asarray(np.exp(-np.sqrt(squares)))
+    r = np.sqrt(3.0 * squares)
     return np.asarray((1.0 + r) * np.exp(-r))

@@ -359,6 +359,8 @@ def _weak(view: View | None) -> Iterator[Block]:
     # Without redundancy nothing tells how certain the model is.
     if why := missing(view, "sigma"):
         yield f"The standard deviation is not known: {why}."
+    elif caveat := view.fit.uncertainty_caveat:
+        yield caveat
     yield from figure(view, "sigma")
     yield from figure(view, "ground")
     if not why:
