@@ -137,7 +137,7 @@ def in_fit_crs(ground: FloatArray, crs: str, fit_crs: str) -> FloatArray:
         return ground
     flat = ground.reshape(-1, 3)
     # Places outside the CRS of the fit become infinite, not an error: maps have corners there.
-    fitted = np.array(transformation(crs, fit_crs, strict=False)(flat))
+    fitted = np.array(transformation(crs, fit_crs, strict=False, for_fit=True)(flat))
     fitted[np.isnan(flat)] = np.nan
     return fitted.reshape(ground.shape)
 

@@ -257,11 +257,14 @@ def to_wgs84(crs: str) -> Transformation:
 
 
 @lru_cache
-def transformation(source: str, target: str, *, strict: bool = True) -> Transformation:
+def transformation(source: str, target: str, *, strict: bool = True,
+                   for_fit: bool = False) -> Transformation:
     """Return a function that transforms ground coordinates (n, 3) from one CRS to another.
 
     If a CRS has no vertical datum, heights are taken as ellipsoidal, unknown ones as 0. Coordinates
-    that cannot be transformed are an error if `strict`, else they become infinite. Raises
+    that cannot be transformed are an error if `strict`, else they become infinite. For a fit alone
+    a CRS on an ellipsoid without a datum, as old maps have, is taken to be of the other's datum:
+    the model takes up what a shift between datums does. Raises
     TermselError for "local"; if pyproj, which is needed for all but WGS84 itself, is not installed
     or cannot transform the CRS.
     """
@@ -291,7 +294,8 @@ def transformation(source: str, target: str, *, strict: bool = True) -> Transfor
     ends = [crs if len(crs.axis_info) > 2 else crs.to_3d() for crs in parsed if crs is not None]
     try:
         # Ballpark transformations would leave heights, or datums, as they are, without a word.
-        turn = Transformer.from_crs(*ends, always_xy=True, allow_ballpark=False)
+        turn = Transformer.from_crs(*ends, always_xy=True,
+                                    allow_ballpark=for_fit and any(map(_has_no_datum, ends)))
     except ProjError as error:
         grids = _missing_grids(*ends)
         if not grids:
@@ -313,6 +317,12 @@ def transformation(source: str, target: str, *, strict: bool = True) -> Transfor
         return np.stack(turned, axis=1)
 
     return convert
+
+
+def _has_no_datum(crs: CRS) -> bool:
+    """Return whether a parsed CRS states an ellipsoid alone."""
+    # PROJ names the datum of such a CRS "Unknown based on Clarke 1880 ellipsoid".
+    return crs.datum is not None and crs.datum.name.lower().startswith("unknown")
 
 
 EARTH = "the Earth"
