@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from termsel import FeatureSet, Points, RationalFunctions, rpc_of
-from termsel.toolkit import LeastSquares, scaling_of
+from termsel import FeatureSet, LeastSquares, Points, RationalFunctions, rpc_of
+from termsel.toolkit import scaling_of
 from termsel.toolkit.files import rpb_text
 from termsel_rpc.simulated import RPC_FILE, nominal_sensor
 

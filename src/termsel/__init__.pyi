@@ -30,6 +30,7 @@ from .fitting.fit import Estimator as Estimator
 from .fitting.fit import Fit as Fit
 from .fitting.fit import HeldOut as HeldOut
 from .fitting.fit import Undetermined as Undetermined
+from .fitting.least_squares import LeastSquares as LeastSquares
 from .fitting.method import Method as Method
 from .fitting.method import Suspects as Suspects
 from .fitting.population import Fits as Fits
@@ -48,6 +49,7 @@ from .io.read import read as read
 from .io.rectify import rectify as rectify
 from .io.replacing import require_replaceable as require_replaceable
 from .io.result_folder import read_result as read_result
+from .io.result_folder import write_result as write_result
 from .models import DLT2D as DLT2D
 from .models import DLT3D as DLT3D
 from .models import Affine as Affine

@@ -13,7 +13,8 @@ import pytest
 import termsel
 from termsel import TermselError, open_raster
 from termsel.core.files.names import refuse_grids
-from termsel.toolkit import normalise, open_layer
+from termsel.toolkit import open_layer
+from termsel.toolkit.coordinates import normalise
 from tests.attacks.files import image, vrt
 
 pyproj = pytest.importorskip("pyproj")

@@ -15,9 +15,8 @@ pytest.importorskip("termsel_block", reason="termsel-block is not installed: "
 pytest.importorskip("termsel_scanner", reason="termsel-scanner is not installed: "
                     "pip install -e plugins/termsel-scanner")
 
-from termsel import TermselError, read_result
+from termsel import TermselError, read_result, write_result
 from termsel.testing import invoke
-from termsel.toolkit import write_result
 from termsel_block import contradictions, joint
 from termsel_block.accuracy import independent_points, rmse
 from termsel_block.block import Block

@@ -14,9 +14,8 @@ pytest.importorskip("termsel_formats", reason="termsel-formats is not installed:
                     "pip install -e plugins/termsel-formats")
 
 import termsel
-from termsel import FeatureSet, Points, TermselError
+from termsel import FeatureSet, Points, TermselError, write_result
 from termsel.testing import Check, checks, invoke
-from termsel.toolkit import write_result
 from termsel_formats import compared
 
 rasterio = pytest.importorskip("rasterio")

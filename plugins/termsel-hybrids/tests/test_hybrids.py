@@ -13,9 +13,9 @@ pytest.importorskip("termsel_hybrids", reason="termsel-hybrids is not installed:
                     "pip install -e plugins/termsel-hybrids")
 
 import termsel
-from termsel import DLT2D, FeatureSet, Lines, Points, SensorModel, rpc_of
+from termsel import DLT2D, FeatureSet, LeastSquares, Lines, Points, SensorModel, rpc_of
 from termsel.testing import Check, checks
-from termsel.toolkit import LeastSquares, registry, solve
+from termsel.toolkit import registry, solve
 from termsel_hybrids import Hybrid1, Hybrid3, Multiquadric, Piecewise, Pointwise
 from termsel_hybrids.by_axis import Polynomial2DByAxis, Polynomial3DByAxis
 

@@ -16,7 +16,7 @@ pytest.importorskip("pyproj", reason="pyproj is not installed: pip install pypro
 import termsel
 from termsel import FeatureSet, FitData, Points, TermselError
 from termsel.testing import checks, invoke
-from termsel.toolkit import normalise, transformation
+from termsel.toolkit.coordinates import normalise, transformation
 from termsel_photos.sheets.candidates import projections_of_file, usual_projections
 from termsel_photos.sheets.choosing import chosen_of, tried_projections
 from termsel_photos.sheets.meridians import meridian_of

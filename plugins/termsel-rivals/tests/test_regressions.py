@@ -12,8 +12,8 @@ pytest.importorskip("termsel_rivals", reason="termsel-rivals is not installed: "
                     "pip install -e plugins/termsel-rivals")
 
 import termsel
-from termsel import Equations, FeatureSet, Points, Regression, TermRegression
-from termsel.toolkit import LeastSquares, solve
+from termsel import Equations, FeatureSet, LeastSquares, Points, Regression, TermRegression
+from termsel.toolkit import solve
 from termsel.toolkit.searches import regressions
 from termsel_rivals.lasso import Lasso, PathSegment, lasso_path
 from termsel_rivals.nested import (

@@ -10,9 +10,9 @@ pytest.importorskip("termsel_rivals", reason="termsel-rivals is not installed: "
                     "pip install -e plugins/termsel-rivals")
 
 import termsel
-from termsel import TermselError
+from termsel import TermselError, write_result
 from termsel.testing import Check, checks
-from termsel.toolkit import registry, write_result
+from termsel.toolkit import registry
 from termsel_rivals import AntColony, Lasso, NestedRegression, Stepwise, TransgenicGA, TTest
 
 NEEDS_COLUMNS = {"any_problem": "it needs the columns of an adjustment",

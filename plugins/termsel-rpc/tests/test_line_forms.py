@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 import termsel
-from termsel import FeatureSet, Fit, Lines, Points, Rpc, read_rpc
-from termsel.toolkit import LeastSquares, scaling_of
+from termsel import FeatureSet, Fit, LeastSquares, Lines, Points, Rpc, read_rpc
+from termsel.toolkit import scaling_of
 from termsel_rpc import RpcShift
 from termsel_rpc.simulated import DATASET_NAME, RPC_FILE
 

@@ -14,9 +14,17 @@ pytest.importorskip("termsel_rpc", reason="termsel-rpc is not installed: "
                     "pip install -e plugins/termsel-rpc")
 
 import termsel
-from termsel import FeatureSet, Fits, Points, TermselError, read_result, read_rpc, uncovered_share
+from termsel import (
+    FeatureSet,
+    Fits,
+    Points,
+    TermselError,
+    read_result,
+    read_rpc,
+    uncovered_share,
+    write_result,
+)
 from termsel.simulate import scene_truth, write_geometry
-from termsel.toolkit import write_result
 from termsel_rpc import Ce90, RpcShift, candidates
 from termsel_rpc.simulated import DATASET_NAME, RPC_FILE, SCENE, nominal_sensor, quality
 

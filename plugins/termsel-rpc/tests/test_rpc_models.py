@@ -17,6 +17,7 @@ import termsel
 from termsel import (
     FeatureSet,
     Fit,
+    LeastSquares,
     Lines,
     Points,
     Rpc,
@@ -28,7 +29,7 @@ from termsel import (
 )
 from termsel.simulate import read_geometry, scene_truth, write_geometry
 from termsel.testing import Check, checks
-from termsel.toolkit import LeastSquares, registry, scaling_of
+from termsel.toolkit import registry, scaling_of
 from termsel.toolkit.files import rpb_text
 from termsel_rpc import Ce90, PushbroomRefine, RpcAffine, RpcDrift, RpcField, RpcJitter, RpcShift
 from termsel_rpc.simulated import (

@@ -16,9 +16,8 @@ pytest.importorskip("termsel_standards", reason="termsel-standards is not instal
                     "pip install -e plugins/termsel-standards")
 
 import termsel
-from termsel import Result, TermselError, export
+from termsel import Result, TermselError, export, write_result
 from termsel.testing import check, invoke
-from termsel.toolkit import write_result
 from termsel_standards.quality.report import quality_of
 from termsel_standards.quality.writers import FgdcXml, Iso19157Json, Iso19157Xml
 

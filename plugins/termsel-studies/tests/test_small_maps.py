@@ -12,7 +12,8 @@ pytest.importorskip("termsel_studies", reason="termsel-studies is not installed:
                     "pip install -e plugins/termsel-studies")
 
 import termsel
-from termsel.toolkit import Document, Section, TableBlock, page
+from termsel import TableBlock
+from termsel.toolkit.charts import Document, Section, page
 from termsel_studies.small import MAX_ARROWS, small_map
 
 

@@ -94,11 +94,37 @@ def _refuse_taken(folder: Path, overwrite: bool) -> None:
                            hint="Choose another --out, or add --overwrite.")
 
 
-def write_result(result: Result, folder: Path) -> None:
+def write_result(result: Result, folder: Path | str) -> None:
     """Write result.json, residuals.csv, summary.txt and the features, all of them or none.
 
-    With points.csv and lines.csv the folder is self-contained. It must exist.
+    With points.csv and lines.csv the folder is self-contained.
+
+    Parameters
+    ----------
+    result : Result
+    folder : path-like
+        It must exist; a result that is there is replaced.
+
+    Returns
+    -------
+    None
+
+    Raises
+    ------
+    TermselError
+        If the folder cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile, termsel
+    >>> result = termsel.run(features=termsel.simulate_scene("spot-isfahan"), strategy="fixed",
+    ...                      model="affine", solver="all-terms")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     termsel.write_result(result, folder)
+    ...     termsel.read_result(folder).selection == result.selection
+    True
     """
+    folder = Path(folder)
     files = {name: encoded(text) for name, text in _files(result).items()}
     _put_in_place(folder)  # an earlier result, if that was interrupted
     try:

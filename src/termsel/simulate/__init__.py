@@ -7,6 +7,7 @@ from termsel.simulate.geometry_files import (
     read_geometry,
     write_geometry,
 )
+from termsel.simulate.kept import kept_features
 from termsel.simulate.orbit import pushbroom_at
 from termsel.simulate.pushbroom import Angle, Pushbroom
 from termsel.simulate.scenes import DATASETS, SceneTruth, scene_truth, simulate_scene
@@ -21,6 +22,7 @@ __all__ = [
     "Terrain",
     "geometry_from",
     "geometry_text",
+    "kept_features",
     "pushbroom_at",
     "read_geometry",
     "scene_truth",

@@ -40,7 +40,25 @@ class _Features(msgspec.Struct, frozen=True):
 
 
 def kept_features(package: str, name: str) -> FeatureSet:
-    """Return the features that a package keeps by a name."""
+    """Return the features that a package keeps by a name.
+
+    Parameters
+    ----------
+    package : str
+        An importable package; its folder `kept` holds the file.
+    name : str
+        The file's name without `.json`.
+
+    Returns
+    -------
+    FeatureSet
+
+    Examples
+    --------
+    >>> from termsel.simulate import kept_features
+    >>> len(kept_features("termsel.simulate", "spot-isfahan").points)
+    35
+    """
     content = (files(package) / FOLDER / f"{name}.json").read_bytes()
     stored = msgspec.json.decode(content, type=_Features)
     points = stored.points

@@ -3,10 +3,6 @@ from termsel.auto.auto import Auto as Auto
 from termsel.auto.blunders import find_blunders as find_blunders
 from termsel.data.cog import require_tiff_name as require_tiff_name
 from termsel.data.cog import write_cog as write_cog
-from termsel.data.coordinates.crs import EARTH as EARTH
-from termsel.data.coordinates.crs import body_of as body_of
-from termsel.data.coordinates.longitudes import nearest as nearest
-from termsel.data.coordinates.wgs84 import vertical as vertical
 from termsel.data.dem_difference import off_as_a_whole as off_as_a_whole
 from termsel.data.extent import KnownImage as KnownImage
 from termsel.data.features import no_lines as no_lines

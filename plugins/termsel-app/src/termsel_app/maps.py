@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from termsel import TermselError
-from termsel.toolkit import LOCAL, FloatArray, normalise, open_layer
+from termsel.toolkit import FloatArray, open_layer
+from termsel.toolkit.coordinates import LOCAL, normalise
 from termsel_app.places import MERCATOR, between, shown_crs, turned
 from termsel_app.rasters import TILE, Pixels, Raster, refuse_giant
 

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from termsel import open_dem
-from termsel.toolkit import LOCAL, FloatArray, horizontal, is_geographic
+from termsel.toolkit import FloatArray
+from termsel.toolkit.coordinates import LOCAL, horizontal, is_geographic
 
 MERCATOR = "EPSG:3857"
 _LOCK = Lock()  # objects of pyproj belong to one thread at a time

@@ -18,7 +18,7 @@ import numpy as np
 
 import termsel
 from termsel import FeatureSet, TermselError
-from termsel.toolkit import LOCAL, horizontal, normalise
+from termsel.toolkit.coordinates import LOCAL, horizontal, normalise
 from termsel_app.control import (
     COORDINATE_LIMIT,
     MAX_FEATURES,

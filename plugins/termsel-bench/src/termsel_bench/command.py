@@ -198,7 +198,8 @@ def _run(methods: Sequence[Method], names: Sequence[str], real: Path | None, pro
 
 def _write(scored: Sequence[Score], folder: Path, title: str) -> None:
     """Write table, page and results into a folder."""
-    from termsel.toolkit import page, write_text
+    from termsel.toolkit import write_text
+    from termsel.toolkit.charts import page
     from termsel.toolkit.files import refuse_links
     from termsel_bench.page import document
     from termsel_bench.submitted import texts_of

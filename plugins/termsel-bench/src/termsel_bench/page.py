@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from termsel import __version__
-from termsel.toolkit import Document, Section, TableBlock
+from termsel import TableBlock, __version__
+from termsel.toolkit.charts import Document, Section
 from termsel_bench.methods.base import AUTO
 from termsel_bench.protocol import Score
 from termsel_bench.scenes.croissant import VERSION

@@ -243,7 +243,7 @@ def _refuse_contradiction(adjusted: Adjusted, inputs: list[ImageInput]) -> None:
 
 def _places(block: Block) -> FloatArray:
     """Return places in the CRS of the block: of control, else of the RPCs."""
-    from termsel.toolkit import transformation
+    from termsel.toolkit.coordinates import transformation
 
     grounds = [image.features.points.ground for image in block.images if image.features is not None]
     grounds += [image.features.lines.ground.reshape(-1, 3) for image in block.images

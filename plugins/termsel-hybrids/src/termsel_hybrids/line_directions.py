@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from termsel import Equations, FeatureSet, SensorModel, line_normals
-from termsel.toolkit import is_geographic
+from termsel.toolkit.coordinates import is_geographic
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]

@@ -9,7 +9,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from termsel import Fit, Option, Result, TermselError, Writer
-from termsel.toolkit import LOCAL, FloatArray, say_deviation, to_wgs84, transformation, write_text
+from termsel.toolkit import FloatArray, say_deviation, write_text
+from termsel.toolkit.coordinates import LOCAL, to_wgs84, transformation
 from termsel_iiif.annotation import FORMAT_NAME, MASK, SOURCE, TRANSFORMATION
 from termsel_iiif.reader import CENTRE
 from termsel_iiif.viewer import (

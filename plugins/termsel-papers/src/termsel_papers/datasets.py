@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 
 from termsel import DatasetSpec, simulate_scene
-from termsel.toolkit import kept_features
+from termsel.simulate import kept_features
 
 _INDEPENDENT = 100
 """Points in addition to those of the papers, which tell the accuracy."""

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import click
 
 from termsel import FeatureSet, TermselError, read
-from termsel.toolkit import LOCAL, echo, print_table, say_written, write_text
+from termsel.toolkit import echo, print_table, say_written, write_text
+from termsel.toolkit.coordinates import LOCAL
 from termsel.toolkit.files import require_inside
 
 if TYPE_CHECKING:

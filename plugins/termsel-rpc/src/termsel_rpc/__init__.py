@@ -13,7 +13,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from termsel import DatasetSpec, hookimpl
-from termsel.toolkit import kept_features
+from termsel.simulate import kept_features
 from termsel_rpc.correction import CORRECTIONS
 from termsel_rpc.image_space import RpcAffine, RpcDrift, RpcShift
 from termsel_rpc.jitter import CANDIDATE as JITTERED

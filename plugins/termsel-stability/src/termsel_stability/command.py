@@ -140,8 +140,7 @@ def _write(repeated: Stability, outputs: tuple[Mapping[str, Path], Path | None],
            run_settings: RunOptions, features: FeatureSet | None,
            options: Mapping[str, str]) -> None:
     """Write the fit of the stable terms: its record with the frequencies, exports, its page."""
-    from termsel import run
-    from termsel.toolkit import write_result
+    from termsel import run, write_result
     from termsel.toolkit.files import RECORD, STABILITY
     from termsel.toolkit.models import TermFrequencies
 

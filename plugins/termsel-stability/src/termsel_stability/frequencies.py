@@ -8,16 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from termsel import Bits, FeatureSet, Task, TermselError, search
-from termsel.toolkit import (
-    BoolArray,
-    FloatArray,
-    LeastSquares,
-    Progress,
-    one_blas_thread,
-    plain,
-    scaling_of,
-)
+from termsel import Bits, FeatureSet, LeastSquares, Task, TermselError, search
+from termsel.toolkit import BoolArray, FloatArray, Progress, one_blas_thread, plain, scaling_of
 from termsel.toolkit.models import (
     Rmse,
     Rmses,

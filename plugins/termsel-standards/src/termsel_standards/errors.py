@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from termsel import Points, Result, TermselError
-from termsel.toolkit import FloatArray, in_metres, read_text
+from termsel.toolkit import FloatArray, read_text
+from termsel.toolkit.coordinates import in_metres
 from termsel.toolkit.models import OnGround, distances
 
 AXES = ("x", "y", "z")

@@ -6,7 +6,8 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from termsel import Fit, Result
-from termsel.toolkit import FloatArray, to_wgs84
+from termsel.toolkit import FloatArray
+from termsel.toolkit.coordinates import to_wgs84
 from termsel.toolkit.models import ground_where_held, image_places
 
 # Places along either side of the image.

@@ -12,16 +12,10 @@ from typing import Any
 import numpy as np
 
 from termsel import Result, TermselError, open_raster, require_replaceable
-from termsel.toolkit import (
-    FloatArray,
-    horizontal,
-    in_metres,
-    is_geographic,
-    picture_for,
-    say_difference,
-)
+from termsel.toolkit import FloatArray, picture_for, say_difference
+from termsel.toolkit.coordinates import horizontal, in_metres, is_geographic, nearest
 from termsel.toolkit.files import MapGrid, accuracy_tags, grid_of_image, map_crs, surface_of
-from termsel.toolkit.models import FAR_OUTSIDE, nearest, outside, require_tiff_name, write_cog
+from termsel.toolkit.models import FAR_OUTSIDE, outside, require_tiff_name, write_cog
 
 log = logging.getLogger(__name__)
 

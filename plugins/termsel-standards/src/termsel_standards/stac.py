@@ -9,7 +9,8 @@ from pathlib import Path, PurePath
 from typing import Any, ClassVar
 
 from termsel import Option, Result, TermselError, Writer
-from termsel.toolkit import LOCAL, horizontal, write_text
+from termsel.toolkit import write_text
+from termsel.toolkit.coordinates import LOCAL, horizontal
 from termsel_standards.outline import outline_of
 from termsel_standards.quality.report import file_sha256
 

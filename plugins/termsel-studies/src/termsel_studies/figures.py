@@ -9,8 +9,18 @@ from typing import Any
 import numpy as np
 
 from termsel import Study
-from termsel.toolkit import CONTROL, FAINT, INK, WIDTH, Figure, chart_rows, require_altair
-from termsel.toolkit.charts import METHODS, spread_scale, with_unit
+from termsel.toolkit.charts import (
+    CONTROL,
+    FAINT,
+    INK,
+    METHODS,
+    WIDTH,
+    Figure,
+    chart_rows,
+    require_altair,
+    spread_scale,
+    with_unit,
+)
 from termsel_studies.groups import Groups, group, length
 from termsel_studies.significance import (
     Comparison,

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from termsel import Study, TermselError, read_result
-from termsel.toolkit import horizontal, requires
+from termsel.toolkit import requires
+from termsel.toolkit.coordinates import horizontal
 from termsel.toolkit.studies import IMAGES, folders_of
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from termsel import Study, TermselError, read_result
-from termsel.toolkit import Document, Figure, Section, counted, page, write_text
-from termsel.toolkit.charts import save, styled, text_of
+from termsel.toolkit import counted, write_text
+from termsel.toolkit.charts import Document, Figure, Section, page, save, styled, text_of
 from termsel.toolkit.studies import IMAGES, folders_of, image_reasons
 from termsel_studies.figures import figures_of
 from termsel_studies.pages import latex, markdown, remarks_of, tables_of

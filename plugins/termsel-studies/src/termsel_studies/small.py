@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from termsel.toolkit import INK, ROLE_COLOURS, counted
-from termsel.toolkit.charts import BLUNDER, EDGE, View, nice
+from termsel.toolkit import counted
+from termsel.toolkit.charts import BLUNDER, EDGE, INK, ROLE_COLOURS, View, nice
 
 WIDE = 120
 """Width and largest height of the drawing [px of the screen]."""

@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike
 
 from termsel import FeatureSet, Points, TermselError
 from termsel.simulate import Angle, Pushbroom, pushbroom_at
-from termsel.toolkit import FloatArray, from_ecef, to_ecef
-from termsel.toolkit.models import vertical
+from termsel.toolkit import FloatArray
+from termsel.toolkit.coordinates import from_ecef, to_ecef, vertical
 
 KINDS = ("steady", "agile", "cubesat", "airborne", "frame", "panoramic")
 ALL_KINDS = (*KINDS, "radar")

@@ -17,7 +17,8 @@ import msgspec
 import numpy as np
 
 from termsel import FeatureSet, TermselError, get, open_raster, read, read_rpc
-from termsel.toolkit import LOCAL, normalise, options_of_file, require_regular, unguarded
+from termsel.toolkit import options_of_file, require_regular, unguarded
+from termsel.toolkit.coordinates import LOCAL, normalise
 from termsel.toolkit.files import parts_of, read_toml
 from termsel_block.block import CORRECTIONS, Block, BlockImage, Ties
 from termsel_block.estimation.equations import pairs

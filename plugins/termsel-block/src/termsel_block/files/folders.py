@@ -12,8 +12,8 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from termsel import FeatureSet, Points, Result, TermselError, require_replaceable, run
-from termsel.toolkit import csv_table, one_blas_thread, write_result, write_text
+from termsel import FeatureSet, Points, Result, TermselError, require_replaceable, run, write_result
+from termsel.toolkit import csv_table, one_blas_thread, write_text
 from termsel.toolkit.models import Predicted, pixel_on_ground
 from termsel_block.accuracy import shared_sigma
 from termsel_block.block import BlockImage

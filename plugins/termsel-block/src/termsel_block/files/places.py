@@ -13,16 +13,8 @@ import msgspec
 import numpy as np
 
 from termsel import TermselError, require_replaceable
-from termsel.toolkit import (
-    LOCAL,
-    horizontal,
-    inside,
-    private_folder,
-    read_data,
-    read_text,
-    unguarded,
-    write_bytes,
-)
+from termsel.toolkit import inside, private_folder, read_data, read_text, unguarded, write_bytes
+from termsel.toolkit.coordinates import LOCAL, horizontal
 from termsel_block.files.folders import RECORD, TIES
 from termsel_block.geometry.frame import FloatArray
 

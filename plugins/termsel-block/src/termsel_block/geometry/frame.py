@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from termsel.toolkit import LOCAL, from_ecef, to_ecef, to_wgs84, transformation
+from termsel.toolkit.coordinates import LOCAL, from_ecef, to_ecef, to_wgs84, transformation
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

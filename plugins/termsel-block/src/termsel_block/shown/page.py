@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from termsel import TableBlock
-from termsel.toolkit import (
+from termsel.toolkit.charts import (
     CONTROL,
     FAINT,
     INK,

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from termsel import Result, TermselError
-from termsel.toolkit import LOCAL, FloatArray, horizontal, in_metres, transformation
-from termsel.toolkit.models import EARTH, body_of
+from termsel.toolkit import FloatArray
+from termsel.toolkit.coordinates import EARTH, LOCAL, body_of, horizontal, in_metres, transformation
 from termsel_formats.check.base import NoAnswer, Taken
 from termsel_formats.check.gdal import outline
 from termsel_formats.check.programs import Answers, taken_by

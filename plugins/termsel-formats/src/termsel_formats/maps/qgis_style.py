@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from termsel.toolkit import ROLE_COLOURS
-from termsel.toolkit.charts import GROUND, ROLE_SHAPES
+from termsel.toolkit.charts import GROUND, ROLE_COLOURS, ROLE_SHAPES
 
 TABLE = "layer_styles"
 OPTIONS = {"FID": "id"}

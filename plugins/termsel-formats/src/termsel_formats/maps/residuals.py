@@ -9,7 +9,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from termsel import Option, Result, TermselError, Writer
-from termsel.toolkit import FloatArray, horizontal, private_folder, requires, write_bytes
+from termsel.toolkit import FloatArray, private_folder, requires, write_bytes
+from termsel.toolkit.coordinates import horizontal
 from termsel.toolkit.files import TextArray, distinct, reason_of, say_measured
 from termsel.toolkit.models import errors_on_ground
 from termsel.toolkit.runs import GIS

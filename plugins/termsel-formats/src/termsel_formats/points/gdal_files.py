@@ -15,7 +15,8 @@ from xml.etree import ElementTree
 import numpy as np
 
 from termsel import FeatureSet, Option, Reader, Result, TermselError, open_raster
-from termsel.toolkit import normalise, picture_for, private_folder, with_dataset, write_text
+from termsel.toolkit import picture_for, private_folder, with_dataset, write_text
+from termsel.toolkit.coordinates import normalise
 from termsel.toolkit.files import (
     atomic_path,
     encoded,

@@ -13,7 +13,8 @@ from xml.etree import ElementTree
 import numpy as np
 
 from termsel import FeatureSet, Option, Points, Reader, Result, TermselError
-from termsel.toolkit import horizontal, normalise, write_text, xml_document
+from termsel.toolkit import write_text, xml_document
+from termsel.toolkit.coordinates import horizontal, normalise
 from termsel.toolkit.files import IMAGE_NAME, chosen_points, image_of, located, wkt
 from termsel_formats.points.common import CORNER, what_lacks, xml_root
 from termsel_formats.points.written import IMAGE, PointsWriter, image_name, say_points

@@ -20,7 +20,8 @@ from typing import Any, ClassVar
 from warnings import catch_warnings, simplefilter
 
 from termsel import FeatureSet, Option, Reader, Result, TermselError
-from termsel.toolkit import horizontal, normalise, read_text, requires, write_text
+from termsel.toolkit import read_text, requires, write_text
+from termsel.toolkit.coordinates import horizontal, normalise
 from termsel.toolkit.files import IMAGE_NAME, Table, image_of, is_number, located
 from termsel.toolkit.runs import GIS
 from termsel_formats.points.written import (

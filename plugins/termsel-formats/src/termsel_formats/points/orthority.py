@@ -9,7 +9,8 @@ from typing import ClassVar
 import numpy as np
 
 from termsel import Option, Result, TermselError, Writer
-from termsel.toolkit import LOCAL, normalise, printable, to_wgs84, write_text
+from termsel.toolkit import printable, write_text
+from termsel.toolkit.coordinates import LOCAL, normalise, to_wgs84
 from termsel.toolkit.files import chosen_points, say_measured
 
 

@@ -19,7 +19,8 @@ from typing import ClassVar
 import numpy as np
 
 from termsel import FeatureSet, Option, Reader, Result, TermselError
-from termsel.toolkit import is_geographic, read_text, unguarded, write_text
+from termsel.toolkit import read_text, unguarded, write_text
+from termsel.toolkit.coordinates import is_geographic
 from termsel.toolkit.files import (
     IMAGE_NAME,
     Table,

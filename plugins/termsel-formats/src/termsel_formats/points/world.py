@@ -12,7 +12,8 @@ from typing import ClassVar
 import numpy as np
 
 from termsel import FeatureSet, Option, Points, Reader, Result, TermselError, open_raster
-from termsel.toolkit import LOCAL, FloatArray, horizontal, read_text, say_deviation, write_text
+from termsel.toolkit import FloatArray, read_text, say_deviation, write_text
+from termsel.toolkit.coordinates import LOCAL, horizontal
 from termsel.toolkit.files import places_of
 from termsel.toolkit.models import refuse_sky
 from termsel_formats.points.written import PointsWriter

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from termsel import Option, Points, Result, TermselError, Writer
-from termsel.toolkit import LOCAL, FloatArray, horizontal, to_wgs84
+from termsel.toolkit import FloatArray
+from termsel.toolkit.coordinates import LOCAL, horizontal, to_wgs84
 from termsel.toolkit.files import GDALWARP, say_nearest
 from termsel_formats.points.common import utm
 

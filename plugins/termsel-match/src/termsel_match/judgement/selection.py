@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 import termsel
-from termsel import FeatureSet, Fit, Points, Result, TermselError
-from termsel.toolkit import write_result
+from termsel import FeatureSet, Fit, Points, Result, TermselError, write_result
 from termsel_match.images.rasters import FloatArray, Mask
 from termsel_match.images.starts import turned
 from termsel_match.judgement.structures import Correction, called_for, corrections

@@ -16,7 +16,7 @@ from termsel import (
     Undetermined,
     image_equations,
 )
-from termsel.toolkit import LOCAL, to_ecef
+from termsel.toolkit.coordinates import LOCAL, to_ecef
 from termsel.toolkit.models import (
     Cameras,
     Measured,

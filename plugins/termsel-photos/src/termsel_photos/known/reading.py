@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from termsel import FeatureSet, TermselError, open_raster
-from termsel.toolkit import LOCAL, transformation, with_dataset
+from termsel.toolkit import with_dataset
+from termsel.toolkit.coordinates import LOCAL, transformation
 from termsel_photos.known.cameras import CAMERAS
 from termsel_photos.known.interior import NAMES, OPTIONS
 

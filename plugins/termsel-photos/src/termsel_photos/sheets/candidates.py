@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from termsel import TermselError
-from termsel.toolkit import FloatArray, normalise, read_text
+from termsel.toolkit import FloatArray, read_text
+from termsel.toolkit.coordinates import normalise
 
 MAX_CANDIDATES = 60
 """Candidates of a file: each takes as long as a choice of the model."""

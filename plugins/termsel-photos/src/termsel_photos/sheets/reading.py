@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from termsel import FeatureSet, Option, TermselError
-from termsel.toolkit import FloatArray, is_geographic, normalise, to_wgs84
+from termsel.toolkit import FloatArray
+from termsel.toolkit.coordinates import is_geographic, normalise, to_wgs84
 from termsel_photos.sheets.candidates import (
     Projection,
     projections_of_file,

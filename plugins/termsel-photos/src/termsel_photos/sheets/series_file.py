@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from termsel import FeatureSet, TermselError
-from termsel.toolkit import normalise, read_text
+from termsel.toolkit import read_text
+from termsel.toolkit.coordinates import normalise
 from termsel_photos.sheets.paper import NAMES, Paper, Sheet, marks_of, paper_of, sheet_of
 from termsel_photos.sheets.series import with_paper
 

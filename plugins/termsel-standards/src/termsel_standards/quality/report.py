@@ -16,7 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from termsel import Option, Result, TermselError
-from termsel.toolkit import LOCAL, horizontal, plain, require_regular
+from termsel.toolkit import plain, require_regular
+from termsel.toolkit.coordinates import LOCAL, horizontal
 from termsel.toolkit.files import Prediction, prediction_of
 from termsel_standards.outline import outline_of
 

@@ -9,7 +9,8 @@ from typing import ClassVar
 import msgspec
 
 from termsel import Option, Result, Writer
-from termsel.toolkit import LOCAL, write_text
+from termsel.toolkit import write_text
+from termsel.toolkit.coordinates import LOCAL
 from termsel_standards.quality.fgdc import fgdc_xml
 from termsel_standards.quality.iso import iso_xml
 from termsel_standards.quality.report import OPTIONS, Quality, quality_of

@@ -1,0 +1,13 @@
+from termsel.data.coordinates.crs import EARTH as EARTH
+from termsel.data.coordinates.crs import LOCAL as LOCAL
+from termsel.data.coordinates.crs import body_of as body_of
+from termsel.data.coordinates.crs import horizontal as horizontal
+from termsel.data.coordinates.crs import is_geographic as is_geographic
+from termsel.data.coordinates.crs import normalise as normalise
+from termsel.data.coordinates.crs import to_wgs84 as to_wgs84
+from termsel.data.coordinates.crs import transformation as transformation
+from termsel.data.coordinates.longitudes import nearest as nearest
+from termsel.data.coordinates.metres import in_metres as in_metres
+from termsel.data.coordinates.wgs84 import from_ecef as from_ecef
+from termsel.data.coordinates.wgs84 import to_ecef as to_ecef
+from termsel.data.coordinates.wgs84 import vertical as vertical
