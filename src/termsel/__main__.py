@@ -95,35 +95,51 @@ def _module_of(thread: Thread) -> str:
     return str(runs.__module__).partition(".")[0]
 
 
+def prepare_process() -> None:
+    """Set what holds for the whole process, and for those that it starts."""
+    from termsel.core.files.drivers import claim_process
+
+    gc.set_threshold(ALLOCATIONS)
+    # For all that is started: see termsel.core.isolation.helper.
+    os.environ["PYTHONSAFEPATH"] = "1"
+    # Of the BLAS that NumPy and SciPy bring along: see termsel.core.threads.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    claim_process()
+    open_streams()
+
+
+def end_if_interrupted(code: object) -> None:
+    """End the program after a command that failed because of Ctrl-C; `code` is its exit code."""
+    # A library may have made another error of the interrupt, such as "cannot be imported". Then
+    # nothing has been said of it yet.
+    if answered() and code not in (0, INTERRUPTED):
+        leave()
+    # The command has said what it kept, and how to go on.
+    if code == INTERRUPTED:
+        end()
+
+
 def main() -> None:
-    """Run the command line."""
+    """Run the command line.
+
+    At the start and at the end, where there is nothing to finish, Ctrl-C ends the program at once.
+    In between it raises KeyboardInterrupt, so that a command can keep what it has.
+    """
     end_at_once()
     sys.excepthook = report_fault
     try:
         watch()
-        gc.set_threshold(ALLOCATIONS)
-        # For all that is started: see termsel.core.isolation.helper.
-        os.environ["PYTHONSAFEPATH"] = "1"
-        # Of the BLAS that NumPy and SciPy bring along: see termsel.core.threads.
-        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+        prepare_process()
         from termsel.cli.main import cli
-        from termsel.core.files.drivers import claim_process
 
-        claim_process()
-        open_streams()
         cli.main(prog_name="termsel", gives_back=False)
-    except KeyboardInterrupt:  # where the command line does not answer
+    except KeyboardInterrupt:  # where no command answers it
         leave()
     except (Exception, SystemExit) as error:
-        code = getattr(error, "code", 1)
-        # A library may have made another error of it, such as "cannot be imported".
-        if answered() and code not in (0, INTERRUPTED):
-            leave()
-        if code == INTERRUPTED:
-            end()
+        end_if_interrupted(getattr(error, "code", 1))
         if isinstance(error, SystemExit):
             end_threads(error.code)
-        raise
+        raise  # Python exits with the code, or reports the fault by its excepthook
     finally:
         end_at_once()
 

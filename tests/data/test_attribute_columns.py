@@ -111,7 +111,7 @@ def test_joined_tables_have_the_columns_of_both() -> None:
 
 def test_parts_of_a_table_that_are_joined_again_are_the_table() -> None:
     whole = points(5, date=list("abcde"))
-    again = whole.take([0, 1]).rejoin(whole.take([2, 3, 4]))
+    again = whole.take([0, 1]).join_unchecked(whole.take([2, 3, 4]))
     assert vars(again).keys() == vars(whole).keys()
     for name, value in vars(whole).items():
         if name != "attributes":
@@ -121,7 +121,7 @@ def test_parts_of_a_table_that_are_joined_again_are_the_table() -> None:
     for array in (again.image, again.ground, again.attributes["date"]):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = array[1]
-    assert whole.rejoin(whole.take([])) is whole
+    assert whole.join_unchecked(whole.take([])) is whole
 
 
 def test_columns_of_all_features() -> None:

@@ -145,8 +145,8 @@ def _gather(
 
 
 @_compiled
-def _lower(panels: FloatArray, n: int, shift: int) -> None:
-    """Move the triangle of n columns down, and clear the remains of elimination below it."""
+def _shift_triangle_down(panels: FloatArray, n: int, shift: int) -> None:
+    """Move the triangle of n columns down by `shift` rows, and clear what is below its diagonal."""
     for c in range(n // LANES + 1):
         for i in range(n - 1, -1, -1):
             for lane in range(LANES):
@@ -171,7 +171,7 @@ def _factor(panels: FloatArray, reflections: Reflections, source: FloatArray, tr
     while True:
         block = min(m - start, panels.shape[1] - triangle_rows)
         if triangle_rows:
-            _lower(panels, n, block)
+            _shift_triangle_down(panels, n, block)
         for s in range(n):
             # A shared triangle has zeros below the diagonal of each original column.
             reach = min(block, np.intp(columns[s]) + 1) if triangular else block

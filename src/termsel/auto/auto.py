@@ -176,15 +176,18 @@ class Auto(Method):
 
     def offered(self, data: FitData, *, for_few: bool = False) -> list[Method]:
         """Return the methods to choose from for some features, the plainest first."""
-        # One that is asked for is fitted whatever its place among others would be.
-        candidates = [method for method in self.methods if
-                      (not for_few if self.is_one_method
-                       else not method.only_shown and method.for_few == for_few)]
-        sizes = {method: self.ask(method, "size", data.heights) for method in candidates
-                 if method.name not in self.faults and self._count(data) <= method.max_features
-                 and self.ask(method, "declines", data) is None}
-        return sorted((method for method in sizes if method.name not in self.faults),
-                      key=lambda method: sizes[method])
+        count = self._count(data)
+        sizes: dict[Method, Any] = {}
+        for method in self.methods:
+            # One that is asked for is fitted whatever its place among others would be.
+            has_a_place = not for_few if self.is_one_method \
+                else not method.only_shown and method.for_few == for_few
+            if (has_a_place and method.name not in self.faults and count <= method.max_features
+                    and self.ask(method, "declines", data) is None):
+                sizes[method] = self.ask(method, "size", data.heights)
+        # Again, as what was asked just now may have failed.
+        sound = [method for method in sizes if method.name not in self.faults]
+        return sorted(sound, key=lambda method: sizes[method])
 
     def _count(self, data: FitData) -> int:
         """Return how many features there are, of all that these are a part of."""

@@ -396,7 +396,7 @@ class Axis:
             rows[-1][-1] += (UPPER**2 << _PLACES) // (_SHARE * node.upper[-1]**2)
         for at in [0, *lines]:
             rows.append([self.lines[at][j] for j in node.columns] + [0] * (1 + (at > 0)))
-        remainder = _eliminated(rows, n)
+        remainder = _schur_complement(rows, n)
         if remainder is None:
             return None
         # C of the theorem, by the last rows. Times 1 + beta, z'Qz is at most 1.
@@ -440,26 +440,40 @@ def _floor(value: Fraction) -> int:
     return value.numerator // value.denominator
 
 
-def _eliminated(rows: list[list[int]], n: int) -> list[list[int]] | None:
-    """Return what elimination of n columns leaves of the rows below; None for a pivot below 1.
+def _schur_complement(rows: list[list[int]], n: int) -> list[list[int]] | None:
+    """Return B - S' inv(A) S of a symmetric matrix (A S; S' B); None for a pivot below 1.
 
-    The first n rows are a lower half. The next has a diagonal, too; each other row has an entry in
-    its column and a diagonal of its own. Each of n updates of one place is off by less than 2.
+    Of A, shape (n, n), the rows are the lower triangle. Below it are rows of S' and of B, of which
+    no others are needed than the first column and the diagonal:
+
+        a11
+        a21 a22
+        s11 s12 b11
+        s21 s22 b21 b22
+        s31 s32 b31 b33
+
+    so that the first row returned is (c11,), each other one (ci1, cii). Columns are eliminated one
+    after the other, in fixed point. Each of the n updates of an entry rounds down twice, a ratio and
+    its product, by less than 1 each in the entry's unit: it is off by less than 2.
     """
     bits = max(value.bit_length() for value in chain.from_iterable(rows))
     for k in range(n):
         pivot, *firsts = [row[0] for row in rows]
+        # An entry that outgrows the first ones has lost the places that the bound counts on.
         if pivot <= 0 or max(map(int.bit_length, firsts)) > bits:
             return None
-        column = firsts[:n - k]
-        below = []
+        rows_left_of_a = n - k - 1
+        # What a row of B has in its first column is updated by the first row below A.
+        column = firsts[:rows_left_of_a + 1]
+        updated = []
         for i, (first, row) in enumerate(zip(firsts, rows[1:], strict=True)):
             # A fixed-point ratio with as many binary places as the largest entry has.
             ratio = (first << bits) // pivot
-            factors = column if i < n - k else [*column, first]
-            below.append([value - (ratio * factor >> bits)
-                          for value, factor in zip(row[1:], factors, strict=False)])
-        rows = below
+            # The diagonal of a row of B is updated by the row itself.
+            factors = column if i <= rows_left_of_a else [*column, first]
+            updated.append([value - (ratio * factor >> bits)
+                            for value, factor in zip(row[1:], factors, strict=False)])
+        rows = updated
     return rows
 
 

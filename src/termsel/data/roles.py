@@ -58,7 +58,7 @@ class Observations:
     @cached_property
     def together(self) -> FeatureSet:
         """Control and check points as control, and the control lines."""
-        return self.control.with_(points=self.control.points.rejoin(self.check))
+        return self.control.with_(points=self.control.points.join_unchecked(self.check))
 
     @cached_property
     def carriers(self) -> tuple[str, ...]:

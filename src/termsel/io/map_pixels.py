@@ -120,7 +120,7 @@ def map_pixels(picture: Picture, resampling: str | None, nodata: float | None) -
     TermselError
         If the resampling is not known or would mix classes, or if pixels cannot hold the value.
     """
-    picture, resampling = _resampled(picture, resampling)
+    picture, resampling = _prepared_for_resampling(picture, resampling)
     # Of several bands of transparency the last is used, and drawn last; the others are left out.
     alpha = [index for index, band in enumerate(picture.bands) if band.alpha][-1:]
     colours = [index for index in range(len(picture.bands)) if index not in alpha]
@@ -181,7 +181,7 @@ def _common(values: tuple[float | None, ...]) -> tuple[float | None, bool]:
     return first, True
 
 
-def _resampled(picture: Picture, resampling: str | None) -> tuple[Picture, str]:
+def _prepared_for_resampling(picture: Picture, resampling: str | None) -> tuple[Picture, str]:
     """Return a picture whose values may be resampled as is asked for, and the resampling.
 
     Colours are resampled instead of the indices of a table, and grey instead of bits; so are

@@ -21,7 +21,7 @@ from termsel.core.interrupts import answered
 from termsel.data.features import FloatArray, Points, no_points, select
 from termsel.data.fit_data import FitData
 from termsel.data.record.figures import Predicted
-from termsel.data.record.search import CandidateRow, Strategy
+from termsel.data.record.search import CandidateRow, SearchLimits, Strategy
 from termsel.data.roles import ASSIGNABLE, Observations, leave_out, with_lines
 from termsel.data.twins import merged
 from termsel.fitting.accuracy import (
@@ -207,22 +207,28 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
         *_high(verdict), *verdict.notes, *_lines(fitted), *contradicting.notes, *auto.notes)
     # The objective of the record is what the rule of the choice compares.
     rmse = choice.chosen.held_out_rmse
+    stated = {
+        "solver": "auto", "criterion": "press", "seed": seed,
+        "options": {"problem": {}, "data": request.options["data"],
+                    "model": fitted.model.options, "solver": {}, "criterion": {}, "search": {}},
+        "plugins": plugins_of(request, model=type(fitted.model), method=method),
+        "reference": best_conventional(method, baselines(clean)), "notes": notes,
+        "objectives": {"press": rmse} if np.isfinite(rmse) else {}, "predicted": predicted,
+        "strategy": strategy,
+        "interrupted": outcome.interrupted, "evaluations": watch.count or len(choice.compared),
+        "seconds": time.perf_counter() - start, **NO_SEARCH}
     return Finding(
-        fit=fitted, observations=played, compared=clean, comparison=comparison, verdict=verdict,
-        contradicting=contradicting, agreeing=agreeing, in_use=frozenset(clean.together.ids),
-        check_used=True, baselines=baselines, judgement=judgement,
-        reference=best_conventional(method, baselines(clean)), notes=notes,
+        fit=fitted, final=final, predicted_final=predicted_final, observations=played,
+        compared=clean, verdict=verdict, contradicting=contradicting, agreeing=agreeing,
+        in_use=frozenset(clean.together.ids), check_used=True, baselines=baselines,
+        judgement=judgement, stated=stated,
         selection=Selection(select(fitted.model.terms, fitted.terms),
-                            select(played.control.ids, fitted.used)),
-        solver="auto", criterion="press", seed=seed,
-        options={"problem": {}, "data": request.options["data"], "model": fitted.model.options,
-                 "solver": {}, "criterion": {}, "search": {}},
-        plugins=plugins_of(request, model=type(fitted.model), method=method),
-        objectives={"press": rmse} if np.isfinite(rmse) else {},
-        feasible=True, interrupted=outcome.interrupted,
-        evaluations=watch.count or len(choice.compared), lookups=0, generations=0,
-        seconds=time.perf_counter() - start, predicted=predicted, predicted_final=predicted_final,
-        final=final, strategy=strategy)
+                            select(played.control.ids, fitted.used)))
+
+
+NO_SEARCH = {"feasible": True, "lookups": 0, "hit_rate": 0.0, "generations": 0, "history": (),
+             "budget": SearchLimits(), "polish": None, "front": (), "certificate": None}
+"""What the record of a choice says of a search: there was none."""
 
 
 def _choose(clean: Observations, auto: Auto, watch: _Watch, seed: int) -> _Chosen:

@@ -60,7 +60,7 @@ def notes_on_data(read: FeatureSet, observations: Observations, heights: bool,
     if heights and len(features) > 1 and not features.without_height():
         yield from _on_carriers(features, observations.carriers)
         yield from (_on_flat(observations.joint, independent) if fitted is None else _on_flat(
-            FitData.of(fitted, False), observations.check.rejoin(independent)))
+            FitData.of(fitted, False), observations.check.join_unchecked(independent)))
 
 
 def notes_on_dem(features: FeatureSet, fitted: Fit) -> Iterator[str]:
@@ -167,7 +167,7 @@ def _on_twins(points: Points, independent: Points) -> Iterator[str]:
     if close_points:
         yield (f"Points too close to each other to tell anything apart share a role and a fold: "
                f"{_listed(close_points)}.")
-    all_points = points.rejoin(independent)
+    all_points = points.join_unchecked(independent)
     independent_ids = set(independent.ids)
     # Twins of independent points among control make these test what was fitted to them.
     shared = [group for group in groups(all_points.ids, twins(all_points.ground, points.ground))

@@ -123,8 +123,8 @@ class Search(TaskMethod):
             name: float(limit) if name == "seconds" else int(limit)
             for name, limit in self.limits.items()
             if name in BUDGETS and limit is not None and math.isfinite(limit)}, SearchLimits)
-        return searched.request, replace(
-            finding_of(searched, search, auto, verdict), budget=budget)
+        finding = finding_of(searched, search, auto, verdict)
+        return searched.request, replace(finding, stated={**finding.stated, "budget": budget})
 
     def _own_task(self, task: Task) -> Task:
         """Return the task of one's own problem and settings with the features of a task.
@@ -184,9 +184,11 @@ class GivenGenes(TaskMethod):
             evaluations=1, generations=0, lookups=0, seconds=0.0, interrupted=False,
             notes=("The genes were given to termsel.assess; how they were found is not recorded.",))
         finding = finding_of(task, search, Auto(memory=memory))
-        plugins = {role: plugin for role, plugin in finding.plugins.items() if role != "solver"}
-        return task.request, replace(
-            finding, solver=GIVEN, options={**finding.options, "solver": {}}, plugins=plugins)
+        stated = finding.stated
+        plugins = {role: plugin for role, plugin in stated["plugins"].items() if role != "solver"}
+        return task.request, replace(finding, stated={
+            **stated, "solver": GIVEN, "options": {**stated["options"], "solver": {}},
+            "plugins": plugins})
 
 
 BUDGETS = ("generations", "evaluations", "seconds", "patience")
@@ -247,26 +249,28 @@ def finding_of(task: Task, search: SearchResult, auto: Auto,
     then = task.then
     # The objectives of least squares are not those of other coefficients.
     objectives = search.objectives.tolist() if fitted.estimator.least_squares else []
+    stated = {
+        "solver": task.solver.name, "criterion": task.criterion.name, "seed": search.seed,
+        "options": {**task.options, "model": task.model.options, "solver": task.solver.options,
+                    "criterion": task.criterion.options,
+                    **({"then": then.options} if then else {})},
+        "plugins": plugins, "reference": comparison.reference, "notes": notes,
+        "objectives": dict(zip(task.problem.objectives, objectives, strict=False)),
+        "feasible": feasible, "interrupted": search.interrupted,
+        "evaluations": search.evaluations, "lookups": search.lookups,
+        "hit_rate": search.lookups / max(search.evaluations, 1),
+        "generations": search.generations, "seconds": search.seconds, "history": search.history,
+        "budget": SearchLimits(), "polish": search.polish,
+        "front": tuple(members[genes.tobytes()] for genes in search.front),
+        "by_size": tuple(SizeRow(**asdict(members[size.genes.tobytes()]), better=size.better,
+                                 optimal=size.optimal, bound=size.bound, gap=size.gap)
+                         for size in sizes),
+        "certificate": _certificate(task, search, fitted), "predicted": None, "strategy": None}
     return Finding(
-        fit=fitted, observations=observations, compared=observations, comparison=comparison,
-        verdict=verdict, contradicting=contradicting, agreeing=agreeing,
+        fit=fitted, observations=observations, compared=observations, verdict=verdict,
+        contradicting=contradicting, agreeing=agreeing,
         in_use=frozenset({*selection.features, *observations.check.ids}), check_used=False,
-        baselines=baselines, judgement=judgement, reference=comparison.reference,
-        notes=notes, selection=selection,
-        solver=task.solver.name, criterion=task.criterion.name, seed=search.seed,
-        options={**task.options, "model": task.model.options, "solver": task.solver.options,
-                 "criterion": task.criterion.options,
-                 **({"then": then.options} if then else {})},
-        plugins=plugins,
-        objectives=dict(zip(task.problem.objectives, objectives, strict=False)),
-        feasible=feasible, interrupted=search.interrupted, evaluations=search.evaluations,
-        lookups=search.lookups, generations=search.generations, seconds=search.seconds,
-        polish=search.polish, history=search.history,
-        front=tuple(members[genes.tobytes()] for genes in search.front),
-        by_size=tuple(SizeRow(**asdict(members[size.genes.tobytes()]), better=size.better,
-                              optimal=size.optimal, bound=size.bound, gap=size.gap)
-                      for size in sizes),
-        certificate=_certificate(task, search, fitted),
+        baselines=baselines, judgement=judgement, selection=selection, stated=stated,
         files=_files(task, search, observations))
 
 

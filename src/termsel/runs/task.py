@@ -260,7 +260,7 @@ def observe(request: Request, fewest: int = MIN_CONTROL) -> Observations:
     features = observations.together
     # Independent points need heights, too: the model must see them in the end.
     require_heights(request.model, features.with_(
-        points=features.points.rejoin(observations.independent)))
+        points=features.points.join_unchecked(observations.independent)))
     require_enough(observations, recipe, criterion, request.model, fewest)
     if of_data["fit_crs"] is not None:
         observations = with_fit_crs(of_data["fit_crs"], observations, request.model)

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import termsel
-from termsel import TermselError, toolkit
-from termsel.toolkit import charts
+from termsel import TermselError
+from termsel.toolkit import charts, coordinates
 
 if TYPE_CHECKING:
     from termsel import FeatureSet, Result
@@ -171,8 +171,8 @@ def metres_per_pixel(result: Result) -> float | None:
     height = np.nan_to_num(np.nanmedian(ground[:, 2])) if np.isfinite(ground[:, 2]).any() else 0.0
     # One pixel down and one to the right, on the ground.
     corners = fit.locate(middle + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), height)
-    edges = toolkit.in_metres(fit.control.crs, np.repeat(corners[:1], 2, axis=0),
-                      (corners[1:] - corners[0])[:, :2])
+    edges = coordinates.in_metres(fit.control.crs, np.repeat(corners[:1], 2, axis=0),
+                                  (corners[1:] - corners[0])[:, :2])
     if edges is None or not np.isfinite(edges).all():
         return None
     # The area of the parallelogram that the two edges of a pixel span.

@@ -163,20 +163,26 @@ def in_space(result: BlockResult) -> InSpace | None:
     if not names:
         return None
     actual = result.frame.local(np.array([truth_of[name] for name in names]))
-    intersected = _intersected(result, [rays_of[name] for name in names], actual)
+    intersected = _intersections(result, [rays_of[name] for name in names], actual)
     east, north, up = np.sqrt(((intersected - actual) ** 2).mean(axis=0))
     return InSpace(float(east), float(north), float(up), len(names))
 
 
-def _intersected(result: BlockResult, rays: Sequence[Sequence[tuple[int, FloatArray]]],
+def _intersections(result: BlockResult, rays: Sequence[Sequence[tuple[int, FloatArray]]],
                  near: FloatArray) -> FloatArray:
-    """Return where rays meet; the search begins at the middle of the places, not at each."""
+    """Return where the rays of each point meet, shape (n, 3) [m].
+
+    `rays` holds for each of n points the number of each image and the point's position there;
+    `near` (n, 3) are the true places.
+    """
     state = result.adjusted.state
     # `intersect` takes all rays of one image at once: index of each point, and where it is seen.
     by_image: dict[int, list[tuple[int, FloatArray]]] = {}
     for k, image_rays in enumerate(rays):
         for i, image in image_rays:
             by_image.setdefault(i, []).append((k, image))
+    # All searches begin at the middle of the true places: a start at each would tell the truth to
+    # rays that hardly determine a place, and so make them look accurate.
     start = np.broadcast_to(near.mean(axis=0), near.shape).copy()
     all_rays = []
     for i, image_rays in by_image.items():

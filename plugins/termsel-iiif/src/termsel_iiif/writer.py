@@ -77,7 +77,7 @@ class AnnotationWriter(Writer):
             "geometry": {"type": "Point", "coordinates": [_plain(lon), _plain(lat)]},
         } for (line, sample), (lon, lat) in zip(
             used.image.tolist(), places_on_earth[:, :2].tolist(), strict=True)]
-        stated_before = _kept(result, TRANSFORMATION)
+        stated_before = _json_of_attribute(result, TRANSFORMATION)
         stated = _transformation(result.exported, used.image, places_on_earth[:, :2], stated_before)
         annotation = source.pop("annotation", None)
         content = {"type": "Annotation", **({"id": annotation} if annotation else {}),
@@ -94,7 +94,7 @@ class AnnotationWriter(Writer):
     def _source(self, result: Result) -> dict[str, Any]:
         """Return the image: of the options, or of the annotation that was read."""
         # What was read comes back as it was, but for what the options say.
-        source = _kept(result, SOURCE) or {}
+        source = _json_of_attribute(result, SOURCE) or {}
         if self.options["image_id"]:
             source = {"id": self.options["image_id"], "type": self.options["service"]}
         height, width = result.features.image_size or (None, None)
@@ -176,8 +176,8 @@ def _first(result: Result, name: str) -> str:
     return next((str(cell) for cell in cells if cell), "")
 
 
-def _kept(result: Result, name: str) -> Any:
-    """Return what an attribute keeps as JSON, or None."""
+def _json_of_attribute(result: Result, name: str) -> Any:
+    """Return the value that an attribute of the points has as JSON; None where it is empty."""
     text = _first(result, name)
     return json.loads(text) if text else None
 

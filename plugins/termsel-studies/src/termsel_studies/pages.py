@@ -100,31 +100,34 @@ def _images(rows: list[Row]) -> TableBlock:
                       keys=[row["cell"] for row in rows])
 
 
-def _of_instance(groups: Groups, name: str, figures: list[Summary]) -> TableBlock:
+def _table_of_instance(groups: Groups, name: str, figures: list[Summary]) -> TableBlock:
     """Return the figures of all methods on an instance; effect sizes are those of the best one."""
-    runs_of = groups.instances[name]
-    measure = groups.measure
-    best = min(figures, key=lambda figure: figure.quartiles[2]).method
     optimum = figures[0].optimum
-    header = ("method", "runs", "best", "lower quartile", "median", "upper quartile", "worst",
-              "effect size", *(("optimum reached", "95 % interval", "expected evaluations")
-                               if optimum is not None else ()),
-              *(() if measure == "independent" else ("independent [px]",)), "evaluations",
-              "CPU s")
+    shows_independent = groups.measure != "independent"  # else the quartiles are theirs
+    header = ["method", "runs", "best", "lower quartile", "median", "upper quartile", "worst",
+              "effect size"]
+    if optimum is not None:
+        header += ["optimum reached", "95 % interval", "expected evaluations"]
+    if shows_independent:
+        header.append("independent [px]")
+    header += ["evaluations", "CPU s"]
+    runs_of = groups.instances[name]
+    best = min(figures, key=lambda figure: figure.quartiles[2]).method
     rows = []
     for figure in figures:
-        reached = () if optimum is None else (
-            f"{figure.reached} of {figure.runs}",
-            "{:.0f} to {:.0f} %".format(*(100 * end for end in figure.interval)),
-            shown(figure.expected, 0))
-        runs = (str(figure.runs) if figure.finished == figure.runs
-                else f"{figure.finished} of {figure.runs}")
-        rows.append((figure.method, runs, *(shown(value, 4) for value in figure.quartiles),
-            "" if figure.method == best else
-            f"{effect_size(runs_of[best].values, runs_of[figure.method].values):.2f}", *reached,
-            *(() if measure == "independent" else (shown(figure.independent, 3),)),
-            shown(figure.evaluations, 0), shown(figure.cpu_seconds, 2)))
-    return TableBlock(_title(name, optimum), header, rows)
+        runs = str(figure.runs) if figure.finished == figure.runs \
+            else f"{figure.finished} of {figure.runs}"
+        effect = "" if figure.method == best else \
+            f"{effect_size(runs_of[best].values, runs_of[figure.method].values):.2f}"
+        row = [figure.method, runs, *(shown(value, 4) for value in figure.quartiles), effect]
+        if optimum is not None:
+            low, high = figure.interval
+            row += [f"{figure.reached} of {figure.runs}", f"{100 * low:.0f} to {100 * high:.0f} %",
+                    shown(figure.expected, 0)]
+        if shows_independent:
+            row.append(shown(figure.independent, 3))
+        rows.append((*row, shown(figure.evaluations, 0), shown(figure.cpu_seconds, 2)))
+    return TableBlock(_title(name, optimum), tuple(header), rows)
 
 
 def _main_figures(groups: Groups, name: str, figures: list[Summary]) -> TableBlock:

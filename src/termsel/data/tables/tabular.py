@@ -118,13 +118,17 @@ class Tabular(Glance, Framed):
         joint: Self = replace(table, **self._with_rows_of(further))
         return joint
 
-    def rejoin(self, further: Self) -> Self:
-        """Return the rows of both, which are parts of one table: what was checked holds for both.
+    def join_unchecked(self, further: Self) -> Self:
+        """Return the rows of both, which are parts of one table.
+
+        What was checked of that table holds for both together, so no value is checked again.
         """
         if not len(further):
             return self
-        joint = self._with_rows_of(further)
-        return unchecked(self, **{**joint, "attributes": rows_at(joint["attributes"], slice(None))})
+        fields = self._with_rows_of(further)
+        # All rows, as arrays that nobody can write to: a table that is checked makes these itself.
+        fields["attributes"] = rows_at(fields["attributes"], slice(None))
+        return unchecked(self, **fields)
 
     def _with_rows_of(self, further: Self) -> dict[str, Any]:
         """Return the fields of the rows of both."""

@@ -377,9 +377,9 @@ def score_systems(system: SubsetSystem, score: str, folds: Sequence[IntArray],
     if score not in SCORES:
         raise unknown_name("score", score, SCORES)
     k = system.design.shape[1]
-    forced = _mask(system.forced, k)
-    forbidden = _mask(system.forbidden, k)
-    some_of = _mask(system.some_of, k)
+    forced = _mask_or_nothing(system.forced, k)
+    forbidden = _mask_or_nothing(system.forbidden, k)
+    some_of = _mask_or_nothing(system.some_of, k)
     if (forced & forbidden).any():
         raise TermselError(f"{int((forced & forbidden).sum())} terms are both forced and forbidden")
     used = np.flatnonzero(forced)
@@ -407,7 +407,8 @@ def score_systems(system: SubsetSystem, score: str, folds: Sequence[IntArray],
                         times_held_out=times_held_out)
 
 
-def _mask(mask: BoolArray | None, k: int) -> BoolArray:
+def _mask_or_nothing(mask: BoolArray | None, k: int) -> BoolArray:
+    """Return a mask of k columns; without one, no column is in it."""
     return np.zeros(k, dtype=bool) if mask is None else np.asarray(mask, dtype=bool)
 
 

@@ -107,7 +107,7 @@ class _Trace:
         self._ticks: list[tuple[int, float]] = []
 
     def times(self) -> dict[str, float]:
-        """Return the seconds since the cell began. Of all threads: `exact` has its own."""
+        """Return the seconds since the cell began: by the clock, and of CPU of all threads."""
         return {"seconds": time.perf_counter() - self._start,
                 "cpu_seconds": time.process_time() - self._cpu}
 
