@@ -453,8 +453,8 @@ def _schur_complement(rows: list[list[int]], n: int) -> list[list[int]] | None:
         s31 s32 b31 b33
 
     so that the first row returned is (c11,), each other one (ci1, cii). Columns are eliminated one
-    after the other, in fixed point. Each of the n updates of an entry rounds down twice, a ratio and
-    its product, by less than 1 each in the entry's unit: it is off by less than 2.
+    after the other, in fixed point. Each of the n updates of an entry rounds down twice, a ratio
+    and its product, by less than 1 each in the entry's unit: it is off by less than 2.
     """
     bits = max(value.bit_length() for value in chain.from_iterable(rows))
     for k in range(n):

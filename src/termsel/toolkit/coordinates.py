@@ -1,4 +1,4 @@
-"""Coordinates: what a CRS is, and points of one in another, in metres and from the Earth's centre."""
+"""What a CRS is, and points in another one, in metres, or from the centre of the Earth."""
 
 from termsel.core.stubs import lazily
 

@@ -54,7 +54,7 @@ def tables_of(study: Study, *, brief: bool = False) -> tuple[list[TableBlock], l
     figures = summaries(groups)
     for name in groups.instances:
         of_instance = [figure for figure in figures if figure.instance == name]
-        tables.append((_main_figures if brief else _of_instance)(groups, name, of_instance))
+        tables.append((_main_figures if brief else _table_of_instance)(groups, name, of_instance))
     # Fronts are compared where the objectives are the same: on one model, by one criterion.
     searched = group([row for row in rows if row["strategy"] != "auto"], study.records, "fitness")
     tables.append(TableBlock(
