@@ -79,7 +79,7 @@ def _bar(title: str, quiet: bool, *, total: float | None = None, remaining: bool
     context = click.get_current_context(silent=True)
     if context is not None and context.meta.get(PROGRESS) == "json" and not quiet:
         # Programs read stderr through a pipe, which is no terminal.
-        yield _lines(title, total)
+        yield _json_printer(title, total)
         return
     if quiet or not sys.stderr.isatty():
         yield None
@@ -103,7 +103,7 @@ def _bar(title: str, quiet: bool, *, total: float | None = None, remaining: bool
         yield partial(bar.update, task)
 
 
-def _lines(title: str, total: float | None) -> Callable[..., None]:
+def _json_printer(title: str, total: float | None) -> Callable[..., None]:
     """Return what prints the share that is done as lines of JSON, at most five a second."""
     printed = -math.inf
 

@@ -170,7 +170,7 @@ def read(
                                     "FeatureSet.with_.")
         with averaging(repeated):
             features = _of_image(_read_frame(points, crs, of_readers, origin), image, size)
-            features = _with_known(features, dem, rpc, z_unit, image_part)
+            features = _with_rpc_and_heights(features, dem, rpc, z_unit, image_part)
             return _with_packages(features, of_packages, image)
     with ExitStack() as stack:
         stack.enter_context(averaging(repeated))
@@ -187,7 +187,7 @@ def read(
         features = _of_image(features, image, size)
     files = [path for path in (points, lines, areas) if path is not None]
     try:
-        features = _with_known(features, dem, rpc, z_unit, image_part)
+        features = _with_rpc_and_heights(features, dem, rpc, z_unit, image_part)
         return _with_packages(features, of_packages, image)
     except TermselError as error:
         raise (located(error, Path(files[0])) if error.file is None else error) from error
@@ -246,9 +246,10 @@ def _of_image(features: FeatureSet, image: Path | str | None, size: tuple[int, i
     return features if features.image_size else replace(features, image_size=size)
 
 
-def _with_known(features: FeatureSet, dem: Path | str | None, rpc: Rpc | Path | str | None,
-                z_unit: str | None, image_part: ImagePart | None) -> FeatureSet:
-    """Return features with an RPC, with the unit of z, and with the heights of a DEM."""
+def _with_rpc_and_heights(features: FeatureSet, dem: Path | str | None,
+                          rpc: Rpc | Path | str | None, z_unit: str | None,
+                          image_part: ImagePart | None) -> FeatureSet:
+    """Return features with those of an RPC, a unit of z and heights of a DEM that are given."""
     if rpc is not None:
         features = with_rpc(features, rpc, image_part)
     path = None if dem is None else Path(dem)

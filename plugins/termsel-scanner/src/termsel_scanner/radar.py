@@ -284,18 +284,19 @@ def _ground_range(annotation: Annotation, time: FloatArray, distance: FloatArray
     for number, polynomial in enumerate(polynomials):
         coefficients[:len(polynomial.coefficients), number] = polynomial.coefficients
 
-    def by(number: NDArray[np.intp]) -> FloatArray:
-        """Return ground range by the polynomial of each place (Horner's scheme)."""
-        aside = distance - origins[number]
+    def by_polynomials(numbers: NDArray[np.intp]) -> FloatArray:
+        """Return ground range by a polynomial for each place, by Horner's scheme."""
+        aside = distance - origins[numbers]
         value = np.zeros(len(distance))
         for power in coefficients[::-1]:
-            value = value * aside + power[number]
+            value = value * aside + power[numbers]
         return value
 
     if len(polynomials) == 1:
-        return by(np.zeros(len(distance), dtype=np.intp))
+        return by_polynomials(np.zeros(len(distance), dtype=np.intp))
     times = np.array([polynomial.time for polynomial in polynomials])
     after = np.clip(np.searchsorted(times, time), 1, len(times) - 1)
     # Before the first and after the last polynomial, that one holds.
     weight = np.clip((time - times[after - 1]) / (times[after] - times[after - 1]), 0.0, 1.0)
-    return np.asarray((1.0 - weight) * by(after - 1) + weight * by(after))
+    return np.asarray((1.0 - weight) * by_polynomials(after - 1)
+                      + weight * by_polynomials(after))

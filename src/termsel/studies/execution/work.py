@@ -279,6 +279,7 @@ def _figures_of(result: Result) -> dict[str, Any]:
     predicted = result.predicted
     selection = result.selection
     prediction = prediction_of(result)
+    # How large a pixel is on the ground [m]: as predicted, else as the independent points show.
     pixel = None if prediction is None else prediction.pixel
     on_ground = result.accuracy and result.accuracy.ground
     if pixel is None and on_ground and result.accuracy:

@@ -51,8 +51,8 @@ def start_by_overview(picture: GreyRaster, reference: Path | str, band: int | No
         transform = reference_picture.raster.transform
         for opened in (picture, reference_picture):
             _say_if_long(opened)
-        at_image, image_vectors = _reduced(picture)
-        at_reference, reference_vectors = _reduced(reference_picture)
+        at_image, image_vectors = _whole_described(picture)
+        at_reference, reference_vectors = _whole_described(reference_picture)
     # Pairs of keypoints whose descriptors are each other's nearest.
     image_number, reference_number = alike(image_vectors, reference_vectors, _RATIO)
     agree = np.zeros(len(image_number), dtype=bool)
@@ -93,7 +93,7 @@ def _step(size: tuple[int, int]) -> int:
     return max(1, -(-max(size) // _REDUCED_SIDE))
 
 
-def _reduced(picture: GreyRaster) -> tuple[FloatArray, Grey]:
+def _whole_described(picture: GreyRaster) -> tuple[FloatArray, Grey]:
     """Return keypoints of a whole picture in its own pixels, and their descriptors."""
     step = _step(picture.size)
     keypoints, vectors = described(*picture.read(0, 0, *picture.size, step))

@@ -100,12 +100,12 @@ def start_of(named: str | Path | None, image: Path) -> Start | None:
         try:
             return _of_rpc(image)
         except TermselError:
-            return _of_position(image)
+            return _start_by_own_position(image)
     name = str(named)
     if name == "none":
         return None
     if name == "corners":
-        position = _of_position(image)
+        position = _start_by_own_position(image)
         if position is None:
             raise TermselError("this image has neither GCPs nor a geotransform with a CRS",
                                file=image, hint="Give --start FILE with an RPC or with points.")
@@ -166,7 +166,7 @@ def start_by_points(features: FeatureSet, description: str) -> Start:
     return Start(description, features.crs, height, fitted.project, fitted.locate, control=features)
 
 
-def _of_position(image: Path) -> Start | None:
+def _start_by_own_position(image: Path) -> Start | None:
     """Return the start by an image's own GCPs or geotransform, if it has any."""
     with open_raster(image) as raster:
         gcps, crs = raster.gcps

@@ -82,6 +82,7 @@ def _focal_of(tags: Mapping[str, str], size: tuple[int, int]) -> dict[str, str]:
         return {"camera_focal": f"{equivalent / DIAGONAL * pixels:.1f}"}
     focal = _first(tags.get("FocalLength", ""))
     per_unit = _first(tags.get("FocalPlaneXResolution", ""))
+    # Millimetres of EXIF's units of resolution: 2 is an inch, 3 a centimetre.
     unit = {2: 25.4, 3: 10.0}.get(round(_first(tags.get("FocalPlaneResolutionUnit", "2"))), 0.0)
     # The resolution is of the sensor, of which the image may be a smaller copy.
     if focal > 0.0 and per_unit > 0.0 and unit > 0.0:

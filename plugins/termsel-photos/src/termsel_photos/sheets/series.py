@@ -176,7 +176,7 @@ def posterior_of(paper: Paper, plan: FloatArray, measured: FloatArray,
     values = _start(paper, plan, measured)
     noise = paper.noise if sigma is None else sigma
     for _ in range(_ROUNDS if sigma is None else 1):
-        values, normal = _solved(paper, plan, measured, values, noise)
+        values, normal = _least_cost(paper, plan, measured, values, noise)
         covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
         prior = np.zeros((UNKNOWNS, UNKNOWNS))
         prior[:4, :4] = np.diag(1.0 / np.array(paper.spreads) ** 2)
@@ -204,10 +204,15 @@ def _start(paper: Paper, plan: FloatArray, measured: FloatArray) -> FloatArray:
     return np.array([np.log(scale), np.arctan2(turned, real), *paper.means[2:], *place])
 
 
-def _solved(paper: Paper, plan: FloatArray, measured: FloatArray, values: FloatArray,
+def _least_cost(paper: Paper, plan: FloatArray, measured: FloatArray, values: FloatArray,
             sigma: float) -> tuple[FloatArray, FloatArray]:
-    """Return the values of the least cost, and the normal matrix there: Gauss-Newton."""
-    means, spreads = np.array(paper.means), np.array(paper.spreads)
+    """Return the values of the least cost, and the normal matrix there: Gauss-Newton.
+
+    The cost is that of the residuals, (measured - image)^2 / sigma^2, and of the first four values'
+    distance from what the paper of the series lets expect, (value - mean)^2 / spread^2.
+    """
+    means = np.array(paper.means)
+    spreads = np.array(paper.spreads)
     for _ in range(_STEPS):
         design = _slopes(values, plan).reshape(-1, UNKNOWNS) / sigma
         residuals = (measured - _image(values, plan)).ravel() / sigma

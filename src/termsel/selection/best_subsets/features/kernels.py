@@ -143,7 +143,10 @@ def _keep_all(rows: FeatureRows, space: EntrySpace, first: int, mask: Any, limit
 
 @_compiled
 def _add(rows: FeatureRows, state: WalkState, depth: int, i: int) -> None:
-    """Add the rows of a feature to the normal equations."""
+    """Set the normal equations of the next depth: those of this one, and the rows of feature i.
+
+    Of each part p they are N = A'A, as its lower triangle, and A'b.
+    """
     for p in range(len(rows.columns)):
         k = rows.columns[p]
         normal = state.normal[depth + 1, p]

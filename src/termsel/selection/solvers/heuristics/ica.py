@@ -265,9 +265,9 @@ class ImperialistCompetition(Solver):
         genes = problem.genome.random(rng, o["population"])
         evaluation = problem.evaluate(genes)
         cost = costs(evaluation)
-        k = min(max(2, round(o["imperialists"] * len(genes))), len(genes) // 2)
-        world = found_empires(cost, k, rng)
-        yield self._generation(0, genes, evaluation, cost, world, k)
+        first_empires = min(max(2, round(o["imperialists"] * len(genes))), len(genes) // 2)
+        world = found_empires(cost, first_empires, rng)
+        yield self._generation(0, genes, evaluation, cost, world, first_empires)
         index = 0
         while len(world.imperialists) > 1:
             index += 1
@@ -282,7 +282,7 @@ class ImperialistCompetition(Solver):
                     break
                 power = total_power(cost, world.empire, world.imperialists, o["alpha"])
                 world = world.compete(cost, power, rng.random(len(power))).crown(cost)
-            yield self._generation(index, genes, evaluation, cost, world, k)
+            yield self._generation(index, genes, evaluation, cost, world, first_empires)
 
     def _move(self, problem: Problem, genes: BoolArray, evaluation: Evaluation, world: Empires,
               rng: np.random.Generator) -> tuple[BoolArray, Evaluation]:
@@ -310,11 +310,15 @@ class ImperialistCompetition(Solver):
         return genes, Evaluation(objectives, violation)
 
     def _generation(self, index: int, genes: BoolArray, evaluation: Evaluation,
-                    cost: FloatArray, world: Empires, k: int) -> Generation:
-        """Return a generation with what its charts show of the empires."""
+                    cost: FloatArray, world: Empires,
+                    first_empires: int) -> Generation:
+        """Return a generation with what its charts show of the empires.
+
+        There were `first_empires`; those that have vanished have no country.
+        """
         power = total_power(cost, world.empire, world.imperialists, self.options["alpha"])
         empire = world.names[world.empire]  # numbered as at first, whatever has vanished
         return Generation(index, genes, evaluation, {
-            "empire": empire, "empires": np.bincount(empire, minlength=k),
+            "empire": empire, "empires": np.bincount(empire, minlength=first_empires),
             "imperialists": world.imperialists,
             "names": world.names, "power": power, "cost": cost})
