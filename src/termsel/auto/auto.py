@@ -34,7 +34,7 @@ from termsel.auto.rule import (
     method_of,
     standard_errors,
 )
-from termsel.auto.validated import fit_of, gain_of, has_pole
+from termsel.auto.validated import gain_of, has_pole
 from termsel.core.errors import TermselError
 from termsel.core.isolation.arrays import of_shape, of_type
 from termsel.core.isolation.faults import HINT, PluginFault, blamed, is_own, wrong
@@ -206,11 +206,11 @@ class Auto(Method):
         return 1 if any(method.from_one for method in self.offered(data)) else MAX_EXACT_POINTS + 1
 
     def fit_of(self, method: Method, data: FitData) -> Fit | None:
-        """Return the fit of a method, or None as of `ask`; of all features it is kept."""
+        """Return the fit of a method, or None as of `ask`; that of all features is remembered."""
         if self.all_features is not None or not is_own(method):
             fitted: Fit | None = self.ask(method, "fit", data)
         else:
-            fitted = self._call(method, "fit", lambda: fit_of(method, data))
+            fitted = self._call(method, "fit", lambda: self.memory.fit(method, data))
         return fitted
 
     def validated(self, method: Method, data: FitData) -> Fit | None:

@@ -8,13 +8,21 @@ from __future__ import annotations
 import hashlib
 import pickle
 from collections.abc import Callable, Hashable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 from termsel.data.fit_data import FitData
+from termsel.fitting.fit import Fit, Undetermined
+from termsel.fitting.method import Method
 
 MAX_ANSWERS = 16
 """How much is kept, the last used: verdicts and errors, a few numbers for each feature."""
+
+MAX_FITS = 64
+"""How many fits are kept."""
+
+MAX_KEPT_FEATURES = 1000
+"""Most features whose fits are kept: more take memory."""
 
 _T = TypeVar("_T")
 
@@ -42,6 +50,8 @@ class Memory:
 
     max_answers: int = MAX_ANSWERS
     _answers: dict[Hashable, tuple[Any]] = field(default_factory=dict, init=False, repr=False)
+    _fits: dict[tuple[Method, FitData], Fit | Undetermined] = field(
+        default_factory=dict, init=False, repr=False)
 
     def recall(self, question: Hashable, data: FitData, find: Callable[[], _T],
                faults: Callable[[], int] = lambda: 0) -> _T:
@@ -65,6 +75,30 @@ class Memory:
         while len(self._answers) > self.max_answers:
             self._answers.pop(list(self._answers)[0], None)  # noqa: RUF015 (threads may add)
         return answer[0]
+
+    def fit(self, method: Method, data: FitData) -> Fit:
+        """Return the fit of a method that is termsel's own, which is kept for who asks again.
+
+        Raises
+        ------
+        Undetermined
+            If the features do not determine it.
+        """
+        if len(data) > MAX_KEPT_FEATURES:
+            return method.fit(data)
+        key = method, data
+        fitted = self._fits.get(key)
+        if fitted is None:
+            try:
+                fitted = replace(method.fit(data), method=method)
+            except Undetermined as error:
+                fitted = error
+            while len(self._fits) >= MAX_FITS:
+                self._fits.pop(list(self._fits)[0], None)  # noqa: RUF015 (threads may add)
+            self._fits[key] = fitted
+        if isinstance(fitted, Undetermined):
+            raise fitted.with_traceback(None)
+        return fitted
 
     def __reduce__(self) -> tuple[type[Memory], tuple[int]]:
         # Another process finds its own answers.

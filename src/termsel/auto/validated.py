@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 
@@ -18,35 +17,6 @@ POLE_BOX_FACTOR = 1.5
 """A denominator must be positive in a box this much wider than that of the points."""
 
 
-MAX_KEPT_FEATURES = 1000
-"""Most features whose fits are kept: more take memory."""
-
-
-def fit_of(method: Method, data: FitData) -> Fit:
-    """Return the fit of a method that is termsel's own, which is kept for who asks again.
-
-    Raises
-    ------
-    Undetermined
-        If the features do not determine it.
-    """
-    if len(data) > MAX_KEPT_FEATURES:
-        return method.fit(data)
-    fitted = _kept_fit(method, data)
-    if isinstance(fitted, Undetermined):
-        raise fitted.with_traceback(None)
-    return fitted
-
-
-@lru_cache(maxsize=64)
-def _kept_fit(method: Method, data: FitData) -> Fit | Undetermined:
-    """Return a fit, or why there is none."""
-    try:
-        return replace(method.fit(data), method=method)
-    except Undetermined as error:
-        return error
-
-
 def validated(method: Method, data: FitData) -> Fit | None:
     """Return a method fitted to features, with the errors of each held out.
 
@@ -56,7 +26,7 @@ def validated(method: Method, data: FitData) -> Fit | None:
     if not method.tried(data):
         return None
     try:
-        fitted = fit_of(method, data)
+        fitted = replace(method.fit(data), method=method)
         if fitted.stored_held_out is None and (
                 fitted.adjustment.redundancy < 1 or has_pole(fitted)):
             return None
