@@ -91,7 +91,7 @@ def _layers(path: Path) -> dict[str, str]:
     """Return the kind of geometry of each layer, in the process that reads vector files."""
     from pyogrio import list_layers
 
-    with _only_allowed(path) as name:
+    with _by_allowed_drivers(path) as name:
         return {str(key): str(kind).split(" ")[0] for key, kind in list_layers(name)}
 
 
@@ -100,13 +100,13 @@ def _layer(path: Path, layer: str | None, columns: list[str] | None,
     """Return what is known of a layer, its geometries and its columns, in that process."""
     from pyogrio.raw import read
 
-    with _only_allowed(path) as name:
+    with _by_allowed_drivers(path) as name:
         meta, _, geometries, values = read(name, layer=layer, columns=columns)
     return meta, geometries, list(values)
 
 
 @contextmanager
-def _only_allowed(path: Path) -> Iterator[Path]:
+def _by_allowed_drivers(path: Path) -> Iterator[Path]:
     """Yield a name in a private folder by which the drivers that are allowed read a vector file."""
     from pyogrio.errors import DataLayerError, DataSourceError
 
