@@ -10,7 +10,7 @@ import pytest
 
 import termsel
 from termsel.data.features import FeatureSet, FloatArray, Points
-from termsel.fitting.misfit import NoisePrior, matern, misfit_of, mixed_misfit
+from termsel.fitting.misfit import NoisePrior, matern, misfit_of, mixed_misfit, trend_of
 from termsel.fitting.next_places import rank_places
 from termsel.fitting.scene import scene_grid
 from termsel.io.plan import plan
@@ -61,11 +61,11 @@ def noise_prior(pixel: float, sigma: FloatArray | None = None) -> NoisePrior:
 @pytest.mark.parametrize(("model", "n", "amplitude"), [
     ("projective", 30, 1.5), ("projective", 40, 0.0), ("tps", 30, 1.5), ("field", 12, 2.0)])
 def test_errors_are_of_the_size_that_is_stated(model: str, n: int, amplitude: float) -> None:
-    assert 0.75 < ratio(model, n, amplitude, range(6)) < 1.3
+    assert 0.8 < ratio(model, n, amplitude, range(6)) < 1.3
 
 
 def test_a_model_that_others_are_better_than_is_stated_to_be_no_better_than_it_is() -> None:
-    assert 0.6 < ratio("projective", 60, 2.5, range(4)) < 1.2
+    assert 0.85 < ratio("projective", 60, 2.5, range(4)) < 1.2
 
 
 def test_a_scatter_of_pixels_among_few_points_is_rather_misfit_than_noise() -> None:
@@ -117,13 +117,16 @@ def test_the_uncertainty_is_less_where_the_control_shows_the_misfit() -> None:
     far = near + 1e6
     scaled = fitted.scaling.image(np.concatenate([near, far]))
     covariance = fitted.misfit.covariance(scaled, 0)
-    assert covariance[0, 0] < 0.7 * covariance[1, 1]
+    assert covariance[0, 0] < 0.5 * covariance[1, 1]
 
 
 def test_noise_alone_has_no_misfit_that_matters() -> None:
     rng = np.random.default_rng(3)
     image = rng.uniform(-1.0, 1.0, (120, 2))
-    missed = misfit_of(image, rng.normal(0.0, 1.0, (120, 2)), noise_prior(2.0), 6.0)
+    noise = rng.normal(0.0, 1.0, (120, 2))
+    trend = trend_of(image, 120)
+    missed = misfit_of(image, noise - trend @ np.linalg.lstsq(trend, noise)[0], noise_prior(2.0),
+                       12.0)
     assert missed is not None
     assert missed.squares(rng.uniform(-1.0, 1.0, (100, 2))).mean() < 0.03
     assert misfit_of(image[:5], image[:5], noise_prior(2.0), 6.0) is None
@@ -189,7 +192,7 @@ def test_a_thousand_points_are_enough_to_know_it() -> None:
     fitted = termsel.fit(features, "projective")
     sigma = fitted.sigma(ground)
     assert np.isfinite(sigma).all()
-    assert 0.5 < np.sqrt((((fitted.project(ground) - truth) / sigma)**2).mean()) < 1.2
+    assert 0.85 < np.sqrt((((fitted.project(ground) - truth) / sigma)**2).mean()) < 1.2
 
 
 def test_a_plan_counts_what_the_model_does_not_fit(tmp_path: Path) -> None:

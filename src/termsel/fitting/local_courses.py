@@ -34,9 +34,9 @@ from termsel.fitting.misfit import (
     MISFIT_MAX_POINTS,
     NEGLIGIBLE_SHARE,
     QUADRATIC_TREND_POINTS,
+    Course,
     NoisePrior,
-    matern,
-    restricted_likelihood,
+    System,
     trend_of,
 )
 
@@ -62,24 +62,6 @@ NOISE_BY_SCATTER = np.geomspace(0.01, 2.0, 26)
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
-    """All solutions of one covariance, with the shares that they have of all courses.
-
-    With w the probability of a ratio on an axis and s^2 the expected noise under it, `variance`
-    (2,) is the sum of w s^2 ratio^2, and `explained` (2, n + f, n + f) that of w s^2 C M^-1 C,
-    where C holds ratio^2 for the n points and 1 for the f columns of the trend. `weights` (2, r)
-    are the w, and `means` (r, n + f, 2) are C M^-1 (z, 0).
-    """
-
-    lengths: tuple[float, float]
-    smoothness: float
-    variance: FloatArray
-    explained: FloatArray
-    weights: FloatArray
-    means: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
 class LocalCourses:
     """What points in a plane tell of the truth, in scaled coordinates."""
 
@@ -91,17 +73,9 @@ class LocalCourses:
     def squares(self, ground: FloatArray, image: FloatArray) -> FloatArray:
         """Return the mean square errors, (m, 2), of a model that sees places in the image."""
         positions = _affine(ground) @ self.to_image
-        trend = trend_of(positions, len(self.positions))
-        deviations = image - positions
         total = np.zeros((len(ground), 2))
         for course in self.courses:
-            columns = np.column_stack([matern(positions, self.positions, course.lengths,
-                                              course.smoothness), trend])           # (m, n + f)
-            for axis in (0, 1):
-                explained = ((columns @ course.explained[axis]) * columns).sum(axis=1)
-                distances = columns @ course.means[:, :, axis].T - deviations[:, axis, None]
-                total[:, axis] += np.maximum(course.variance[axis] - explained, 0.0) \
-                    + distances**2 @ course.weights[axis]
+            total += course.squares(positions, self.positions, image - positions)
         return total
 
 
@@ -125,41 +99,21 @@ def local_courses(points: Points, pixel: float) -> LocalCourses | None:
     prior = NoisePrior.of(pixel, points.sigma, with_heights=False)
     precise = np.diag(prior.relative_variances(n))
     log_prior = prior.log_probability(noises)
+    system = System(positions, precise, trend, deviations, noises)
     logs = []
     grids = []
     for probability, lengths, smoothness, ratios in _priors():
-        correlation = matern(positions, positions, lengths, smoothness)
-        by_ratio = np.stack([restricted_likelihood(precise + ratio**2 * correlation, trend,
-                                                   deviations, noises)[0]
-                             for ratio in ratios], axis=1) - np.log(len(ratios))    # (2, r, s)
+        by_ratio = system.log_likelihoods(lengths, smoothness, ratios)              # (2, r, s)
         by_noise = np.logaddexp.reduce(by_ratio, axis=1)
         logs.append(np.log(probability) + log_prior + by_noise.sum(axis=0))
         grids.append((lengths, smoothness, ratios, np.exp(by_ratio - by_noise[:, None])))
     shares = np.exp(np.array(logs) - np.logaddexp.reduce(logs, axis=None))           # (c, s)
     if not np.isfinite(shares).all():
         return None
-    courses = tuple(
-        _course(lengths, smoothness, ratios, share * by_ratio, noises,
-                _System(positions, precise, trend, deviations))
-        for share, (lengths, smoothness, ratios, by_ratio) in zip(shares, grids, strict=True)
-        if share.sum() > NEGLIGIBLE_SHARE)
+    courses = tuple(system.course(lengths, smoothness, ratios, share * by_ratio)
+                    for share, (lengths, smoothness, ratios, by_ratio)
+                    in zip(shares, grids, strict=True) if share.sum() > NEGLIGIBLE_SHARE)
     return LocalCourses(to_image, positions, courses, float(shares.sum(axis=0) @ noises**2))
-
-
-@dataclass(frozen=True, eq=False)
-class _System:
-    """What all covariances share: places, relative variances of the noise, trend and targets."""
-
-    positions: FloatArray
-    precise: FloatArray
-    trend: FloatArray
-    deviations: FloatArray
-
-    def inverse(self, covariance: FloatArray) -> FloatArray:
-        """Return M^-1 of a covariance S of the measurements."""
-        f = self.trend.shape[1]
-        return np.linalg.inv(np.block([[covariance, self.trend],
-                                       [self.trend.T, np.zeros((f, f))]]))
 
 
 def _priors() -> Iterator[tuple[float, tuple[float, float], float, tuple[float, ...]]]:
@@ -171,23 +125,6 @@ def _priors() -> Iterator[tuple[float, tuple[float, float], float, tuple[float, 
             yield equal, lengths, smoothness, RATIOS
     for lengths in UNEQUAL_LENGTHS:
         yield FIELD_PROBABILITY * UNEQUAL_PROBABILITY / len(UNEQUAL_LENGTHS), lengths, 1.5, RATIOS
-
-
-def _course(lengths: tuple[float, float], smoothness: float, ratios: tuple[float, ...],
-            shares: FloatArray, noises: FloatArray, system: _System) -> Course:
-    """Return the solutions of one covariance; `shares` (2, r, s) are of ratios and noises."""
-    correlation = matern(system.positions, system.positions, lengths, smoothness)
-    noise = shares @ noises**2                                                      # (2, r)
-    n, f = system.trend.shape
-    explained = np.zeros((2, n + f, n + f))
-    means = np.empty((len(ratios), n + f, 2))
-    for i, ratio in enumerate(ratios):
-        scale = np.concatenate([np.full(n, ratio**2), np.ones(f)])
-        inverse = scale[:, None] * system.inverse(system.precise + ratio**2 * correlation)
-        means[i] = inverse[:, :n] @ system.deviations
-        explained += noise[:, i, None, None] * (inverse * scale)
-    return Course(lengths, smoothness, noise @ np.square(ratios), explained, shares.sum(axis=2),
-                  means)
 
 
 def _affine(ground: FloatArray) -> FloatArray:

@@ -14,10 +14,16 @@ the covariance of the residuals by s^2, P = S^-1 - S^-1 T (T' S^-1 T)^-1 T' S^-1
     p(r | length, ratio, s) ~ |S|^-1/2 |T' S^-1 T|^-1/2 s^-m exp(-r' P r / 2 s^2).
 
 Length and noise are those of line and sample together, the ratio is of each alone: a scanner may
-shake along one. Under one solution the field at a place with covariances k to the control, by s^2,
-has the mean k' P r and the variance s^2 (ratio^2 - k' P k). Averaged over all solutions, the square
-of the one and the other are what the model misses there: close to control it is seen, and far away
-it is as large as it can be.
+shake along one. What the model misses at a place is the field and the trend T b there: a smooth
+field has a trend of its own, which b takes back. With c = (ratio^2 k, t) the covariances to the
+control, by s^2, and the trend of a place, and M = [[S, T], [T', 0]], it has under one solution
+(universal kriging)
+
+    the mean c' M^-1 (r, 0) and the variance s^2 (ratio^2 - c' M^-1 c),
+
+of which s^2 t' (T' T)^-1 t would be there without a field, and is part of the model's own variance
+already. Averaged over all solutions, the square of the one and the other are what the model misses:
+close to control it is seen, and far away it is as large as it can be.
 
 Few residuals do not tell a field of short length from noise. Then their scatter is divided by what
 is known beforehand: a measurement in an image is good to about half a pixel, and a scatter of
@@ -29,7 +35,8 @@ of the size of the noise that it sees; in a plane, from 20 points on, it is judg
 References
 ----------
 Patterson and Thompson 1971 for the restricted likelihood; Moritz 1980 for collocation of
-residuals; Stein 1999 for the Matern covariance. The prior is termsel's own.
+residuals; Matheron 1969 for universal kriging; Stein 1999 for the Matern covariance. The prior is
+termsel's own.
 """
 
 from __future__ import annotations
@@ -48,10 +55,12 @@ that shake and of strips. The shortest are shorter than the distances of most co
 so fast is known from noise by pairs of points that are near, or share a line, and else by its
 size."""
 
+MISFIT_SMOOTHNESS = 1.5
+
 MISFIT_RATIOS = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 12.8)
 """Standard deviations of the field by that of the noise, all as likely beforehand."""
 
-MISFIT_PROBABILITY = 0.3
+MISFIT_PROBABILITY = 0.36
 """Probability of a field of these sizes before the residuals are looked at. What is less than a
 tenth of the noise counts as none."""
 
@@ -122,54 +131,119 @@ class NoisePrior:
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
-    """The fields of one pair of lengths, averaged over ratios and noises.
+class Course:
+    """All solutions of one covariance, with the shares that they have of all courses.
 
-    With w the probability of a ratio on an axis, and s^2 the expected noise under it: `variance`
-    (2,) is the sum of w s^2 ratio^2, `explained` (2, n, n) that of w s^2 ratio^4 P, `weights`
-    (2, r) are the probabilities and `means` (r, n, 2) ratio^2 P r, of line and sample. `share` is
-    the probability of the lengths.
+    With w the probability of a ratio on an axis and s^2 the expected noise under it, `variance`
+    (2,) is the sum of w s^2 ratio^2, and `explained` (2, n + f, n + f) that of w s^2 C M^-1 C,
+    where C holds ratio^2 for the n points and 1 for the f columns of the trend. `weights` (2, r)
+    are the w, and `means` (r, n + f, 2) are C M^-1 (r, 0). `share` is the probability of the
+    covariance.
     """
 
     share: float
     lengths: tuple[float, float]
+    smoothness: float
     variance: FloatArray
     explained: FloatArray
     weights: FloatArray
     means: FloatArray
 
+    def columns(self, places: FloatArray, positions: FloatArray) -> FloatArray:
+        """Return the covariances of places (m, 2) to those of the control, and their trend."""
+        return np.column_stack([matern(places, positions, self.lengths, self.smoothness),
+                                trend_of(places, len(positions))])
+
+    def squares(self, places: FloatArray, positions: FloatArray,
+                deviations: FloatArray | float) -> FloatArray:
+        """Return the mean squares of field and trend less deviations, times the share, (m, 2)."""
+        columns = self.columns(places, positions)
+        squares = np.zeros((len(places), 2))
+        for axis in (0, 1):
+            explained = ((columns @ self.explained[axis]) * columns).sum(axis=1)
+            means = columns @ self.means[:, :, axis].T                                  # (m, r)
+            distances = means - np.broadcast_to(deviations, squares.shape)[:, axis, None]
+            squares[:, axis] = np.maximum(self.variance[axis] - explained, 0.0) \
+                + distances**2 @ self.weights[axis]
+        return squares
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """What all covariances are tried on."""
+
+    positions: FloatArray  # (n, 2): of the control, in the image
+    precise: FloatArray  # (n, n): diagonal, variances of measurements by that of a usual one
+    trend: FloatArray  # (n, f)
+    residuals: FloatArray  # (n, 2)
+    noises: FloatArray  # (s,)
+
+    def log_likelihoods(self, lengths: tuple[float, float], smoothness: float,
+                        ratios: tuple[float, ...]) -> FloatArray:
+        """Return logarithms of p(r, ratio | length, s) for each axis, (2, r, s)."""
+        correlation = matern(self.positions, self.positions, lengths, smoothness)
+        by_ratio = [restricted_likelihood(self.precise + ratio**2 * correlation, self.trend,
+                                          self.residuals, self.noises) for ratio in ratios]
+        return np.asarray(np.stack(by_ratio, axis=1) - np.log(len(ratios)))
+
+    def course(self, lengths: tuple[float, float], smoothness: float, ratios: tuple[float, ...],
+               shares: FloatArray) -> Course:
+        """Return the solutions of one covariance; `shares` (2, r, s) are of ratios and noises."""
+        correlation = matern(self.positions, self.positions, lengths, smoothness)
+        noise = shares @ self.noises**2                                             # (2, r)
+        n, f = self.trend.shape
+        explained = np.zeros((2, n + f, n + f))
+        means = np.empty((len(ratios), n + f, 2))
+        for i, ratio in enumerate(ratios):
+            scale = np.concatenate([np.full(n, ratio**2), np.ones(f)])
+            system = np.block([[self.precise + ratio**2 * correlation, self.trend],
+                               [self.trend.T, np.zeros((f, f))]])
+            inverse = scale[:, None] * np.linalg.inv(system)
+            means[i] = inverse[:, :n] @ self.residuals
+            explained += noise[:, i, None, None] * (inverse * scale)
+        return Course(float(shares[0].sum()), lengths, smoothness, noise @ np.square(ratios),
+                      explained, shares.sum(axis=2), means)
+
+    def without_noise_of_trend(self, course: Course, shares: FloatArray) -> Course:
+        """Return a course without what noise alone makes uncertain of the trend.
+
+        That is s^2 t' (T' N^-1 T)^-1 t, N the relative variances.
+        """
+        f = self.trend.shape[1]
+        noise = (shares @ self.noises**2).sum(axis=1)                               # (2,)
+        weighted = self.trend / np.diag(self.precise)[:, None]
+        explained = course.explained.copy()
+        explained[:, -f:, -f:] += noise[:, None, None] * np.linalg.inv(self.trend.T @ weighted)
+        return replace(course, explained=explained)
+
 
 @dataclass(frozen=True, eq=False)
 class Misfit:
-    """What a model does not fit, in scaled coordinates: solutions with a field."""
+    """What a model does not fit, in scaled coordinates: courses with a field."""
 
     positions: FloatArray  # (n, 2): of the control, in the image
-    solutions: tuple[Solution, ...]
+    courses: tuple[Course, ...]
 
     @property
     def probability(self) -> float:
         """Probability of a field."""
-        return float(sum(solution.share for solution in self.solutions))
+        return float(sum(course.share for course in self.courses))
 
     def squares(self, image: FloatArray) -> FloatArray:
         """Return the mean square of what the model misses at places in the image, (m, 2)."""
         total = np.zeros((len(image), 2))
-        for solution in self.solutions:
-            correlations = matern(image, self.positions, solution.lengths)             # (m, n)
-            for axis in (0, 1):
-                explained = ((correlations @ solution.explained[axis]) * correlations).sum(axis=1)
-                means = correlations @ solution.means[:, :, axis].T                     # (m, r)
-                total[:, axis] += np.maximum(solution.variance[axis] - explained, 0.0) \
-                    + means**2 @ solution.weights[axis]
+        for course in self.courses:
+            total += course.squares(image, self.positions, 0.0)
         return total
 
     def covariance(self, image: FloatArray, axis: int) -> FloatArray:
         """Return the covariance of what the model misses among places in the image, (m, m)."""
         total = np.zeros((len(image), len(image)))
-        for solution in self.solutions:
-            correlations = matern(image, self.positions, solution.lengths)
-            total += solution.variance[axis] * matern(image, image, solution.lengths) \
-                - correlations @ solution.explained[axis] @ correlations.T
+        for course in self.courses:
+            columns = course.columns(image, self.positions)
+            total += course.variance[axis] * matern(image, image, course.lengths,
+                                                    course.smoothness) \
+                - columns @ course.explained[axis] @ columns.T
         return total
 
 
@@ -197,75 +271,49 @@ def misfit_of(image: FloatArray, residuals: FloatArray, noise: NoisePrior,
     precise = noise.relative_variances(n)
     noises = NOISE_BY_SCATTER * np.sqrt((residuals**2).mean())
     log_prior = noise.log_probability(noises)
+    system = System(image, np.diag(precise), trend, residuals, noises)
     logs = [np.log(1.0 - MISFIT_PROBABILITY) + log_prior
-            + restricted_likelihood(np.diag(precise), trend, residuals, noises)[0].sum(axis=0)]
-    fields = []
+            + restricted_likelihood(system.precise, trend, residuals, noises).sum(axis=0)]
+    by_ratios = []
     for lengths in MISFIT_LENGTHS:
-        ratio_logs, projections = _by_ratios(lengths, image, np.diag(precise), trend, residuals,
-                                             noises)
-        by_noise = np.logaddexp.reduce(ratio_logs, axis=1)                             # (2, s)
+        by_ratio = system.log_likelihoods(lengths, MISFIT_SMOOTHNESS, MISFIT_RATIOS)
+        by_noise = np.logaddexp.reduce(by_ratio, axis=1)                               # (2, s)
         logs.append(np.log(MISFIT_PROBABILITY / len(MISFIT_LENGTHS)) + log_prior
                     + by_noise.sum(axis=0))
-        fields.append((lengths, np.exp(ratio_logs - by_noise[:, None]), projections))
+        by_ratios.append(np.exp(by_ratio - by_noise[:, None]))
     if not np.isfinite(logs).all():  # seen on one line of the image: no trend is determined
         return None
     shares = np.exp(np.array(logs) - np.logaddexp.reduce(logs, axis=None))             # (l, s)
-    solutions = [_solution(lengths, share * by_ratio, projections, residuals, noises)
-                 for share, (lengths, by_ratio, projections) in zip(shares[1:], fields, strict=True)
-                 if share.sum() > NEGLIGIBLE_SHARE]
-    return Misfit(image, tuple(solutions))
+    courses = []
+    for share, lengths, by_ratio in zip(shares[1:], MISFIT_LENGTHS, by_ratios, strict=True):
+        if share.sum() > NEGLIGIBLE_SHARE:
+            course = system.course(lengths, MISFIT_SMOOTHNESS, MISFIT_RATIOS, share * by_ratio)
+            courses.append(system.without_noise_of_trend(course, share * by_ratio))
+    return Misfit(image, tuple(courses))
 
 
 def mixed_misfit(misfits: Sequence[tuple[float, Misfit]]) -> Misfit | None:
     """Return what is missed where each holds with a chance, of the same control; None of none."""
     if not misfits:
         return None
-    solutions = [replace(solution, share=chance * solution.share,
-                         variance=chance * solution.variance,
-                         explained=chance * solution.explained, weights=chance * solution.weights)
-                 for chance, misfit in misfits for solution in misfit.solutions if chance > 0.0]
-    return Misfit(misfits[0][1].positions, tuple(solutions))
-
-
-def _by_ratios(lengths: tuple[float, float], image: FloatArray, precise: FloatArray,
-               trend: FloatArray, residuals: FloatArray,
-               noises: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return logarithms of p(r, ratio | length, s) for each axis, (2, r, s), and P, (r, n, n)."""
-    correlation = matern(image, image, lengths)
-    logs = []
-    projections = []
-    for ratio in MISFIT_RATIOS:
-        log, projection = restricted_likelihood(precise + ratio**2 * correlation, trend, residuals,
-                                                 noises)
-        logs.append(log - np.log(len(MISFIT_RATIOS)))
-        projections.append(projection)
-    return np.stack(logs, axis=1), np.array(projections)
-
-
-def _solution(lengths: tuple[float, float], shares: FloatArray, projections: FloatArray,
-              residuals: FloatArray, noises: FloatArray) -> Solution:
-    """Return the fields of one pair of lengths; `shares` (2, r, s) are of ratios and noises."""
-    squared_ratios = np.square(MISFIT_RATIOS)
-    noise = shares @ noises**2                                  # (2, r): w s^2
-    means = squared_ratios[:, None, None] * (projections @ residuals)
-    return Solution(float(shares[0].sum()), lengths, noise @ squared_ratios,
-                    np.einsum("ar,rnm->anm", noise * squared_ratios**2, projections),
-                    shares.sum(axis=2), means)
+    courses = [replace(course, share=chance * course.share, variance=chance * course.variance,
+                       explained=chance * course.explained, weights=chance * course.weights)
+               for chance, misfit in misfits for course in misfit.courses if chance > 0.0]
+    return Misfit(misfits[0][1].positions, tuple(courses))
 
 
 def restricted_likelihood(covariance: FloatArray, trend: FloatArray, residuals: FloatArray,
-                          noises: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the restricted log likelihood of line and sample for each noise, (2, s), and P."""
+                          noises: FloatArray) -> FloatArray:
+    """Return the restricted log likelihood of line and sample for each noise, (2, s)."""
     lower = np.linalg.cholesky(covariance)
-    inverse = np.linalg.inv(lower)
-    whitened_trend = inverse @ trend
-    q, r = np.linalg.qr(whitened_trend)
-    root = inverse - q @ (q.T @ inverse)
-    projection = root.T @ root
-    squares = (residuals * (projection @ residuals)).sum(axis=0)
-    freedom = len(residuals) - trend.shape[1]
+    whitened = np.linalg.solve(lower, np.column_stack([trend, residuals]))
+    f = trend.shape[1]
+    q, r = np.linalg.qr(whitened[:, :f])
+    targets = whitened[:, f:]
+    squares = ((targets - q @ (q.T @ targets))**2).sum(axis=0)
+    freedom = len(residuals) - f
     log = -freedom * np.log(noises) - 0.5 * squares[:, None] / noises**2
-    return log - np.log(np.diag(lower)).sum() - np.log(np.abs(np.diag(r))).sum(), projection
+    return np.asarray(log - np.log(np.diag(lower)).sum() - np.log(np.abs(np.diag(r))).sum())
 
 
 def trend_of(image: FloatArray, n_points: int) -> FloatArray:
