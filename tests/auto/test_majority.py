@@ -90,6 +90,34 @@ def test_a_majority_decides_where_no_quadratic_polynomial_fits(seed: int) -> Non
     assert set(np.flatnonzero(suspects.blunders)) == wrong
 
 
+def flown(n: int, seed: int) -> FeatureSet:
+    """Return points of an aircraft that sways, which no polynomial of few terms follows."""
+    x, y = np.random.default_rng(seed).uniform(-1, 1, (n, 2)).T
+    height = 100 * np.sin(3 * x) * np.cos(2 * y)
+    line = 3000 * y + 12 * np.sin(4 * y)
+    sample = 3000 * x + 60 * np.sin(2 * y) + 15 * np.cos(5 * y) + 0.5 * height * x
+    image = np.column_stack([line, sample])
+    image += np.random.default_rng(seed + 1).normal(0, 0.5, (n, 2))
+    ground = np.column_stack([5e5 + 1e3 * x, 5e6 + 1e3 * y, height])
+    points = Points(tuple(f"P{i:02d}" for i in range(n)), image, ground, roles=("control",) * n)
+    return FeatureSet(points, no_lines(), "EPSG:32639")
+
+
+def test_a_majority_decides_on_the_blunders_of_a_flight() -> None:
+    features, wrong = spoilt(flown(40, 4), 0.45, times=2.0)
+    suspects = find_blunders(FitData.of(features, True))
+    assert suspects is not None
+    assert set(np.flatnonzero(suspects.blunders)) == wrong
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_bends_of_a_flight_are_no_blunders(seed: int) -> None:
+    # Those of the first lie among points that agree, in waves.
+    suspects = find_blunders(FitData.of(flown(40, seed), True))
+    assert suspects is not None
+    assert not suspects.blunders.any()
+
+
 def test_a_cluster_of_blunders_is_no_bend() -> None:
     sound = panoramic(60, 4)
     ground = sound.points.ground
@@ -131,7 +159,7 @@ def test_the_closest_half_is_about_the_best_of_all_halves() -> None:
             coefficients = np.linalg.lstsq(design[of_half], image[of_half])[0]
             return float(((image[of_half] - design[of_half] @ coefficients) ** 2).sum())
 
-        [found] = _closest_halves([design], image, np.ones(2, dtype=bool),
+        [[found, *_]] = _closest_halves([design], image, np.ones(2, dtype=bool),
                                   np.random.default_rng(0))
         least = min(map(squares, combinations(range(12), 6)))
         assert not found[:5].any()

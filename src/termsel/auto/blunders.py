@@ -35,7 +35,14 @@ from termsel.adjustment.bayesian.field import GaussianProcess
 from termsel.adjustment.bayesian.held_out import chance_of
 from termsel.auto.auto import Auto
 from termsel.auto.contradictions import FALSE_ALARM, MIN_STRAIN, Division, Test, polynomial_of
-from termsel.auto.majority import MAX_BLUNDER_SHARE, MIN_POINTS, majority
+from termsel.auto.majority import (
+    ADDED_PART,
+    MAX_BLUNDER_SHARE,
+    MIN_POINTS,
+    NOISE_JUMP,
+    is_outvoted,
+    majority,
+)
 from termsel.auto.memory import Memory
 from termsel.auto.robust import reweighted
 from termsel.auto.shrunken import Averaging
@@ -137,27 +144,46 @@ def _by_majority(control: FitData) -> tuple[BoolArray, Test] | None:
     agreeing = majority(control)
     if agreeing is None:
         return None
+    settled = _settled(control, agreeing)
+    if settled is None:
+        return None
+    used, test = settled
+    # A field that few points leave free may follow blunders: then the polynomial has decided.
+    for judged, its_test in (_judged_by_field(control, used, test, MAX_MINORITY), (used, test)):
+        if MIN_MINORITY < (~judged).mean() <= MAX_MINORITY \
+                and is_outvoted(control, ~judged, its_test):
+            return judged, its_test
+    return None
+
+
+def _settled(control: FitData, agreeing: BoolArray) -> tuple[BoolArray, Test] | None:
+    """Return the points of a majority and those that it predicts, and their test.
+
+    The closest are admitted bit by bit, until the noise jumps: among many admitted at once blunders
+    hide each other. None where the points are too few for a test.
+    """
+    n = len(control)
     used = agreeing
-    test = None
+    settled = None
+    least_noise = np.inf
     earlier_sets = set[bytes]()
     while used.tobytes() not in earlier_sets:
         earlier_sets.add(used.tobytes())
-        test_of_used = Division(control, used).shrunken_test()
-        if test_of_used is None:
-            return None
-        test = test_of_used
+        test = Division(control, used).shrunken_test()
         # The majority has all that agree, not the closest ones: it tells the noise as it is.
-        far = test.far(len(control))
-        if (~far).sum() < len(control) // 2:
+        if test is None or test.noise > NOISE_JUMP * least_noise:
             break
-        used = ~far
-    if test is None:
-        return None
-    # A field that few points leave free may follow blunders: then the polynomial has decided.
-    for judged, its_test in (_judged_by_field(control, used, test, MAX_MINORITY), (used, test)):
-        if MIN_MINORITY < (~judged).mean() <= MAX_MINORITY:
-            return judged, its_test
-    return None
+        settled = used, test
+        least_noise = min(least_noise, test.noise)
+        far = test.far(n)
+        if (~far).sum() < n // 2:
+            break
+        closest = np.argsort(np.where(used | far, np.inf, test.strain), kind="stable")
+        admitted = closest[:max(1, n // ADDED_PART)]
+        next_used = used & ~far
+        next_used[admitted[~(used | far)[admitted]]] = True
+        used = next_used
+    return settled
 
 
 def agreement(control: FitData) -> BoolArray | None:

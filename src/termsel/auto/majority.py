@@ -9,19 +9,25 @@ cubic polynomial has terms always holds blunders; but the halves of quadratic on
 concentration goes on from them with the cubic terms of the plane, which cameras that turn and
 aircraft need. Their noise tells which points disagree; those that agree are the majority.
 
+An image that bends more, such as an aircraft's, leaves such noise to these polynomials that no
+point is gross next to it. From the best halves the regularised polynomial goes on, which has more
+terms: each time the points that it predicts are those of its next fit, and of all the sets of
+points that this leads to the one counts under which all points are likeliest, each right or wrong.
+
 A bend of the image that a polynomial does not follow makes points disagree as well. So a majority
-is one only if the others are gross, and lie among it, or disagree with each other: the errors of
-neighbours in a part that is bent are alike.
+is one only if the others are gross, and disagree with each other, or have one error and lie among
+it: where the image bends, the errors of neighbours are alike and those of all vary.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.special import ndtr, stdtrit
 
-from termsel.auto.contradictions import polynomial_of
+from termsel.adjustment.equations import weights_of
+from termsel.auto.contradictions import Division, Test, polynomial_of
 from termsel.data.features import BoolArray, FloatArray, IntArray, Points
 from termsel.data.fit_data import FitData
 from termsel.data.monomials import monomials
@@ -65,12 +71,28 @@ NOISE_JUMP = 2.0
 AGREEING_STRAIN = 4.0
 """Standard deviations within which a point agrees with the majority."""
 
-UNLIKE = 0.5
+UNLIKE = 0.3
 """Squared difference of the errors of neighbours, by that of independent errors, from which on they
-are no bend."""
+are no bend. Of bends it is at most 0.2."""
+
+MAX_DEVIATION = 0.25
+"""Deviation of errors from their mean, by the mean, up to which they are one error."""
 
 GROSS_STRAIN = 6.0
 """Standard deviations that the others disagree by, in the median."""
+
+NOISE_OF_CONTRADICTION = 4.0
+"""Noise of all points by that of the closest half, from which on the regularised polynomial seeks a
+majority. Of points without blunders it is between 1 and 3, where the image bends up to 7."""
+
+STARTS = 3
+"""Halves of each polynomial that the regularised one goes on from."""
+
+PREDICTED_STRAIN = 3.0
+"""Standard deviations within which the regularised polynomial takes a point into its next fit."""
+
+REGULARISED_STEPS = 12
+"""Most fits of the regularised polynomial from one half; four are usual."""
 
 
 def majority(control: FitData) -> BoolArray | None:
@@ -98,15 +120,17 @@ def majority(control: FitData) -> BoolArray | None:
     # The fewer terms, the clearer is who disagrees.
     for columns, closest in zip(designs, halves, strict=True):
         half = np.zeros(n, dtype=bool)
-        half[sampled] = closest
-        agreeing = _outvoting(columns, scaled, half, sampled)
+        half[sampled] = closest[0]
+        agreeing = _outvoting(columns, scaled, half)
         if agreeing is not None:
             return agreeing
-    return None
+    if n < MIN_CUBIC_POINTS or not _contradict(designs[-1], scaled.image, halves[-1][0], sampled):
+        return None
+    return _regularised_majority(control, sampled,
+                                 [half for of_design in halves for half in of_design[:STARTS]])
 
 
-def _outvoting(design: FloatArray, scaled: Points, half: BoolArray,
-               sampled: IntArray) -> BoolArray | None:
+def _outvoting(design: FloatArray, scaled: Points, half: BoolArray) -> BoolArray | None:
     """Return which points (n,) agree with a half, if more than a third are gross blunders."""
     n = len(half)
     agreeing, strains = _agreeing(design, scaled.image, half)
@@ -116,23 +140,98 @@ def _outvoting(design: FloatArray, scaled: Points, half: BoolArray,
     if np.median(strains[minority]) < GROSS_STRAIN / AGREEING_STRAIN:
         return None
     errors = _residuals(design, scaled.image, agreeing)[minority]
-    if _interleaved(scaled.ground[sampled], agreeing[sampled]) or _unlike_neighbours(
-            scaled.ground[minority], errors):
-        return agreeing
-    return None
+    return None if _may_be_bend(scaled.ground, agreeing, errors) else agreeing
+
+
+def _contradict(design: FloatArray, image: FloatArray, closest: BoolArray,
+                sampled: IntArray) -> bool:
+    """Return whether the closest half of sampled points leaves far less noise than all of them."""
+    columns = design[sampled]
+    noise_of_half, _ = _strains(columns, image[sampled], closest)
+    noise_of_all, _ = _strains(columns, image[sampled], np.ones(len(sampled), dtype=bool))
+    return noise_of_all > NOISE_OF_CONTRADICTION * noise_of_half
+
+
+def _regularised_majority(control: FitData, sampled: IntArray,
+                          halves: Sequence[BoolArray]) -> BoolArray | None:
+    """Return which points (n,) agree under the regularised polynomial, beginning with some halves.
+
+    None where a third or fewer disagree, or not grossly. Halves are of the points that are sampled.
+    """
+    is_sampled = np.zeros(len(control), dtype=bool)
+    is_sampled[sampled] = True
+    data = control.take(is_sampled)
+    points = data.scaled.points
+    quadratic = monomials(points.ground, polynomial_of(data.heights, 2).exponents)
+    # What errors blunders have is told by those that all points leave.
+    distances = _errors(quadratic, points.image, np.ones(len(data), dtype=bool))
+    distances *= data.scaling.image_scale
+    # Features that are taken keep the order of all; halves have that of the sample.
+    order = np.argsort(sampled)
+    fits = [fit for half in halves for fit in _regularised_fits(data, half[order])]
+    if not fits:
+        return None
+    used, test = max(fits, key=lambda fit: _log_likelihood(fit[1], distances,
+                                                           weights_of(data.features.points)))
+    if (~used).mean() <= MAX_BLUNDER_SHARE or not is_outvoted(data, ~used, test):
+        return None
+    used_of_all = is_sampled.copy()
+    used_of_all[is_sampled] = used
+    test_of_all = Division(control, used_of_all).shrunken_test()
+    return None if test_of_all is None else test_of_all.strain <= PREDICTED_STRAIN
+
+
+def is_outvoted(data: FitData, minority: BoolArray, test: Test) -> bool:
+    """Return whether points (n,) are gross blunders under a test by all others, and no bend."""
+    if np.median(test.strain[minority]) < GROSS_STRAIN:
+        return False
+    points = data.scaled.points
+    design = monomials(points.ground, polynomial_of(data.heights, 2).exponents)
+    errors = _residuals(design, points.image, ~minority)[minority]
+    return not _may_be_bend(points.ground, ~minority, errors)
+
+
+def _regularised_fits(data: FitData, half: BoolArray) -> Iterator[tuple[BoolArray, Test]]:
+    """Yield which points each regularised polynomial is of, from a half on, and its test of all."""
+    used = half
+    earlier_sets = set[bytes]()
+    while used.tobytes() not in earlier_sets and len(earlier_sets) < REGULARISED_STEPS:
+        earlier_sets.add(used.tobytes())
+        test = Division(data, used).shrunken_test()
+        if test is None:
+            break
+        yield used, test
+        used = test.strain <= PREDICTED_STRAIN
+        if used.sum() < len(data) // 2:
+            used = np.zeros(len(data), dtype=bool)
+            used[np.argsort(test.strain, kind="stable")[:len(data) // 2]] = True
+
+
+def _log_likelihood(test: Test, distances: FloatArray, weights: FloatArray) -> float:
+    """Return the log-likelihood of all points, each as likely right as wrong.
+
+    A right one is predicted by the others, with the strain s and the variances u and v of both
+    coordinates: exp(-s^2) / (2 pi sqrt(u v)). The error of a wrong one is normal, with the mean
+    square of the distances (n,) that all points have from their polynomial.
+    """
+    deviations = (test.noise * test.spread)[:, None] / weights
+    mean_square = (distances**2).mean() / 2
+    right = -np.log(deviations).sum(axis=1) - test.strain**2
+    wrong = -np.log(mean_square) - distances**2 / (2 * mean_square)
+    return float(np.logaddexp(right, wrong).sum())
 
 
 def _closest_halves(designs: Sequence[FloatArray], image: FloatArray, is_affine: BoolArray,
-                    rng: np.random.Generator) -> list[BoolArray]:
-    """Return for each design the half (n,) with the least trimmed squares that is found.
+                    rng: np.random.Generator) -> list[list[BoolArray]]:
+    """Return for each design the halves (n,) that are found, those of least trimmed squares first.
 
     Samples are of the first design (n, k). Halves of each design go on from those of the one
     before it.
     """
     n = len(image)
     first = designs[0]
-    least = [np.inf] * len(designs)
-    best = [np.ones(n, dtype=bool)] * len(designs)
+    # Many samples lead to the same half.
+    halves: list[dict[bytes, tuple[float, BoolArray]]] = [{} for _ in designs]
     # Affine samples need few points, so that more of them have no blunder; others bend as well.
     samples_of = [first[:, is_affine]]
     if not is_affine.all():
@@ -143,10 +242,9 @@ def _closest_halves(designs: Sequence[FloatArray], image: FloatArray, is_affine:
             half[closest] = True
             for number, design in enumerate(designs):
                 squares, half = _concentrated(design, image, half)
-                if squares < least[number]:
-                    least[number] = squares
-                    best[number] = half
-    return best
+                halves[number].setdefault(half.tobytes(), (squares, half))
+    return [[half for _, half in sorted(of_design.values(), key=lambda found: found[0])]
+            for of_design in halves]
 
 
 def _starts(design: FloatArray, image: FloatArray, rng: np.random.Generator) -> IntArray:
@@ -241,10 +339,24 @@ def _residuals(design: FloatArray, image: FloatArray, used: BoolArray) -> FloatA
     return np.asarray(image - design @ coefficients)
 
 
+def _may_be_bend(ground: FloatArray, agreeing: BoolArray, errors: FloatArray) -> bool:
+    """Return whether the errors (m, 2) of points that disagree may be a bend of the image.
+
+    Those of a bend vary, and are alike in neighbours. Blunders differ, or have one error among
+    points that have none.
+    """
+    if _unlike_neighbours(ground[~agreeing], errors):
+        return False
+    shift = errors.mean(axis=0)
+    deviation = np.sqrt(((errors - shift) ** 2).sum(axis=1).mean())
+    is_one_error = deviation < MAX_DEVIATION * np.linalg.norm(shift)
+    return not (is_one_error and _interleaved(ground, agreeing))
+
+
 def _interleaved(ground: FloatArray, agreeing: BoolArray) -> bool:
     """Return whether most points that disagree have some that agree in three quadrants."""
-    others = ground[~agreeing, None, :2]
-    is_right, is_above = np.moveaxis(ground[agreeing, :2] > others, 2, 0)
+    others = ground[~agreeing, None, :2][:MAX_SAMPLED_POINTS]
+    is_right, is_above = np.moveaxis(ground[agreeing, :2][:MAX_SAMPLED_POINTS] > others, 2, 0)
     quadrants = np.stack([(is_right == right) & (is_above == above)
                           for right in (False, True) for above in (False, True)])
     return bool((quadrants.any(axis=2).sum(axis=0) >= 3).mean() > 0.5) if len(others) else False
