@@ -108,6 +108,25 @@ def test_a_map_is_that_of_gdalwarp_with_an_alpha_band(name: str, tmp_path: Path)
                   .astype(complex if pixels.dtype.kind == "c" else float)).max() <= tolerance
 
 
+@pytest.mark.skipif(not scans.has_gdalwarp(), reason="requires the program gdalwarp")
+def test_a_band_without_data_where_others_have_some_stays_empty_there_by_cubic(
+        tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    pixels = rng.integers(100, 20_000, (6, *scans.SIZE)).astype(np.uint16)
+    pixels[rng.uniform(size=pixels.shape) < 0.1] = 7
+    image = scans.write(tmp_path / "six.tif", pixels, nodata=7)
+    made = scans.rectified(image, resampling="cubic")
+    own, expected = (scans.gdalwarped(image, made, resampling)[:6]
+                     for resampling in ("nearest", "cubic"))
+    with rasterio.open(made) as raster:
+        warped, shown = raster.read(), raster.dataset_mask() > 0
+    empty = shown & (own == 0)  # gdalwarp has 0 there, which no pixel of the image has
+    assert (warped[empty] == 7).all()
+    # There the warper divides by sums of weights near zero.
+    assert expected[empty].max() > 60_000
+    assert np.abs(warped.astype(float) - expected)[~empty & shown].max() < 10
+
+
 @pytest.mark.parametrize("name", ["rgb", "grey", "16-bit", "five-bands"])
 def test_ink_of_value_zero_is_no_hole_and_a_mask_says_what_lies_outside(
         name: str, tmp_path: Path) -> None:

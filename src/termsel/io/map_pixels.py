@@ -30,6 +30,7 @@ Values = NDArray[Any]
 Mask = NDArray[np.bool_]
 
 _LARGEST_PART = 1 << 28  # bytes of an image that are read at once for a tile
+_NEGATIVE_WEIGHTS = ("cubic", "lanczos")  # kernels that have them
 _WITH_TABLE = ("Byte", "UInt16")  # types whose colours a GeoTIFF holds
 _WHITE: Colour = (255, 255, 255, 255)
 _TYPES = {"Byte": "uint8", "CFloat32": "complex64", "CFloat64": "complex128", "CInt16": "complex64"}
@@ -371,9 +372,17 @@ def _warped(raster: Any, spec: MapPixels, shape: tuple[int, int], crs: str, tran
         empty = spec.empty[0]
         if empty is None and spec.dtype.kind in "fc":
             empty = float("nan")
-        reproject(rasterio.band(raster, list(range(1, colours + 1))), tile, src_nodata=empty,
-                  **warp_options)
+        every_band = rasterio.band(raster, list(range(1, colours + 1)))
+        reproject(every_band, tile, src_nodata=empty, **warp_options)
         visible = tile[-1] != 0
+        if empty is not None and colours > 1 and spec.resampling in _NEGATIVE_WEIGHTS:
+            # Where a band has no data at a pixel's own place and others do, the warper divides by
+            # a sum of weights near zero: 65,535 came of data up to 20,000.
+            own = np.zeros_like(tile)
+            nearest = warp_options | {"resampling": Resampling.nearest}
+            reproject(every_band, own, src_nodata=empty, **nearest)
+            without = np.isnan(own) if np.isnan(empty) else own == tile.dtype.type(empty)
+            tile[:-1][without[:-1]] = empty
     else:
         visible = np.zeros(shape, dtype=bool)
         for number, empty in enumerate(spec.empty, 1):
