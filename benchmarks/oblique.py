@@ -35,7 +35,7 @@ ANGLES_BY_HAND = (20, 40)
 RELIEFS_BY_HAND = (0, 20)
 """Of bird's-eye views and panoramas, whose points have no heights."""
 COUNTS = (5, 8, 14, 40)
-SEEDS = 6
+SEEDS = 3
 REQUIRED = 1.3
 """Most that the median ratio of a kind may be."""
 
