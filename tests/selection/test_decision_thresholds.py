@@ -93,12 +93,17 @@ def gain_of(standard_errors: float, n: int = 40) -> FloatArray:
     return np.exp(-0.1 * (standard_errors / np.sqrt(n) + noise))
 
 
-@pytest.mark.parametrize(("cubic", "dlt", "chosen"), [
-    (0.9, -9.0, "shrunken-quadratic"), (1.02, -9.0, "shrunken-cubic"),
-    (0.0, 1.9, "shrunken-quadratic"), (0.0, 2.1, "dlt")])
-def test_what_must_be_better_by_how_much(cubic: float, dlt: float, chosen: str,
+@pytest.mark.parametrize(("noise", "cubic", "dlt", "chosen"), [
+    (20.0, 0.9, -9.0, "shrunken-quadratic"), (20.0, 1.02, -9.0, "shrunken-cubic"),
+    (20.0, 0.0, 1.9, "shrunken-quadratic"), (20.0, 0.0, 2.1, "dlt"),
+    (0.0, 0.0, 0.9, "shrunken-quadratic"), (0.0, 0.0, 1.02, "dlt")])
+def test_what_must_be_better_by_how_much(noise: float, cubic: float, dlt: float, chosen: str,
                                          monkeypatch: pytest.MonkeyPatch) -> None:
-    control = photograph(0.1, 40)  # from nearly above: an oblique view asks less of the DLT
+    # From nearly above, as an oblique view asks less of the DLT. With noise that is not much less
+    # than what an affine transformation leaves, the points do not call for a camera near by.
+    control = photograph(0.1, 40)
+    image = control.points.image + np.random.default_rng(4).normal(0, noise, (40, 2))
+    control = control.with_(points=replace(control.points, image=image))
     one = np.random.default_rng(2).uniform(1, 2, 40)
     squares = {"shrunken-quadratic": one, "shrunken-cubic": one * gain_of(cubic),
                "dlt": one * gain_of(dlt), "quadratic": 0.1 * one}
@@ -110,7 +115,7 @@ def test_what_must_be_better_by_how_much(cubic: float, dlt: float, chosen: str,
     found = Auto().choose(FitData.of(control, True))
     assert found is not None
     assert found.method.name == chosen
-    assert ("by 1 standard error;" in found.reason) == (cubic == 1.02)
+    assert ("by 1 standard error;" in found.reason) == (1.02 in (cubic, dlt))
 
 
 @pytest.mark.slow

@@ -38,6 +38,10 @@ OBLIQUE_DEPTH_RATIO = 0.8
 """Distance of the nearest point by that of the middle, along the view, below which a view is
 oblique: a map has none, and points of a photo from above are at about the same distance."""
 
+CENTRAL_AFFINE_SHARE = 0.1
+"""What a central projection leaves by what an affine transformation leaves, from which on down the
+points call for a camera near by: of images from orbit it is mostly more."""
+
 Describe = Callable[[Fit], str | None]
 """Returns one sentence on why the features call for the method of a fit, if there is one."""
 
@@ -81,10 +85,11 @@ def contained(method: Method, fits: Iterable[Fit]) -> bool:
 def best_of(fits: Iterable[Fit], describe: Describe = lambda _: None) -> Choice | None:
     """Return the choice among methods; None if there is none.
 
-    Of methods with a prior, the first is to be beaten by the others by BETTER standard errors; what
-    none of them contains by CLEARLY, a central projection by EXPECTED, or by BETTER where the
-    points call for an oblique view. Of those that are so much better, and of the one to be beaten,
-    the one with the smallest RMSE is chosen. Where none has a prior, the smallest RMSE decides.
+    Of methods with a prior, the first is to be beaten by the others by PRIOR_MARGIN standard
+    errors; what none of them contains by CLEAR_MARGIN, a central projection by PROJECTION_MARGIN,
+    or by PRIOR_MARGIN where the points call for an oblique or near camera. Of those that are so
+    much better, and of the one to be beaten, the one with the smallest RMSE is chosen. Where none
+    has a prior, the smallest RMSE decides.
     """
     compared = tuple(fits)
     priors = [fitted for fitted in compared if method_of(fitted).has_prior]
@@ -143,20 +148,21 @@ def required(fitted: Fit, base: Fit) -> float:
     if not method_of(fitted).central:
         return CLEAR_MARGIN
     # Few points measured roughly, as in a drawn bird's-eye view, hardly tell standard errors apart;
-    # that they call for an oblique view, is evidence of its own.
+    # that they call for an oblique view, or for a camera near by, is evidence of its own.
     view = fitted.view
-    is_oblique = view is not None and view.depth < OBLIQUE_DEPTH_RATIO
-    return PRIOR_MARGIN if is_oblique else PROJECTION_MARGIN
+    calls_for_camera = view is not None and (
+        view.depth < OBLIQUE_DEPTH_RATIO or view.affine_share < CENTRAL_AFFINE_SHARE)
+    return PRIOR_MARGIN if calls_for_camera else PROJECTION_MARGIN
 
 
 def _equally_sure_margin(base: Fit) -> float:
     """Return by how many standard errors others must be better than one that knows more.
 
-    It is CLEARLY where features are many. Few of them hardly tell the standard error, so that more
-    of it is as sure (Student 1908). Two say nothing of it.
+    It is CLEAR_MARGIN where features are many. Few of them hardly tell the standard error, so that
+    more of it is as sure (Student 1908). Two say nothing of it.
     """
     freedom = len(base.held_out().squares) - 1
-    # The probability that a normal number stays within CLEARLY standard errors.
+    # The probability that a normal number stays within CLEAR_MARGIN standard errors.
     probability = (1.0 + erf(CLEAR_MARGIN / sqrt(2.0))) / 2.0
     return t_quantile(probability, freedom) if freedom > 1 else np.inf
 

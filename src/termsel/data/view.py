@@ -51,12 +51,15 @@ class CentralView:
         Standard deviation of an image coordinate [scaled].
     noise : float
         Likewise, of the points that fit best.
+    affine_share : float
+        `sigma` by that of an affine transformation of the same points.
     """
 
     matrix: FloatArray
     ground: FloatArray
     sigma: float
     noise: float
+    affine_share: float = 1.0
 
     def distances(self, ground: FloatArray) -> FloatArray:
         """Return the distances of places from the camera along its view, (n,)."""
@@ -132,7 +135,7 @@ def _view_of(measurements: Measurements) -> CentralView | None:
         columns = _columns(points.ground, size)
         affine_sigma = _affine(columns, points.image)
         if affine_sigma is not None:
-            view = _fitted(columns, points, CLEARER * affine_sigma)
+            view = _fitted(columns, points, affine_sigma)
             if view is not None:
                 views.append(view)
     return min(views, key=lambda view: view.sigma, default=None)
@@ -152,8 +155,8 @@ def _affine(columns: FloatArray, image: FloatArray) -> float | None:
     return float(np.sqrt((residuals**2).sum() / freedom))
 
 
-def _fitted(columns: FloatArray, points: Points, largest_sigma: float) -> CentralView | None:
-    """Return the projection of least distances, if it leaves less than some standard deviation.
+def _fitted(columns: FloatArray, points: Points, affine_sigma: float) -> CentralView | None:
+    """Return the projection of least distances, if it is clearly better than an affine one.
 
     None if not determined, or with points behind, too.
     """
@@ -163,7 +166,7 @@ def _fitted(columns: FloatArray, points: Points, largest_sigma: float) -> Centra
     distances = np.linalg.norm(points.image - _seen(matrix, columns), axis=1)
     unknown = 3 * matrix.shape[1] - 1
     sigma = float(np.sqrt((distances**2).sum() / (2 * len(distances) - unknown)))
-    if not sigma < largest_sigma:
+    if not sigma < CLEARER * affine_sigma:
         return None
     noise = np.inf
     # The noise of the points that fit best, which blunders do not reach; never more than that of
@@ -173,7 +176,7 @@ def _fitted(columns: FloatArray, points: Points, largest_sigma: float) -> Centra
     if best_matrix is not None:
         closest = points.image[best] - _seen(best_matrix, columns[best])
         noise = float(np.sqrt((closest**2).sum() / (closest.size - unknown)))
-    return CentralView(matrix, points.ground, sigma, min(noise, sigma))
+    return CentralView(matrix, points.ground, sigma, min(noise, sigma), sigma / affine_sigma)
 
 
 def _least_distances(columns: FloatArray, image: FloatArray) -> FloatArray | None:
