@@ -311,7 +311,7 @@ The RMSE is between half and twice the predicted one in {near:.0%} of scenes.
 """
 
 
-def single_scenes(cases: dict[tuple[str, float, float, int, int], Case]) -> str:
+def single_scenes(cases: dict[tuple[str, int, int, int, int], Case]) -> str:
     """Return the scenes whose ratio is above what is required of medians, as a table."""
     rows = ["| view | degrees | relief [m] | points | scene | auto [px] | predicted [px] | ratio "
             "| chosen |", "|---|---:|---:|---:|---:|---:|---:|---:|---|"]
@@ -322,9 +322,9 @@ def single_scenes(cases: dict[tuple[str, float, float, int, int], Case]) -> str:
     return "\n".join(rows) if len(rows) > 2 else "none."
 
 
-def page(cases: dict[tuple[str, float, float, int, int], Case], seeds: int) -> str:
+def page(cases: dict[tuple[str, int, int, int, int], Case], seeds: int) -> str:
     """Return the page of cases by view, depression, relief, number of points and seed."""
-    kinds: dict[tuple[str, float, float, int], list[Case]] = {}
+    kinds: dict[tuple[str, int, int, int], list[Case]] = {}
     for (view, depression, relief, count, _), case in cases.items():
         kinds.setdefault((view, depression, relief, count), []).append(case)
     medians = [np.median([case.ratio for case in some]) for some in kinds.values()]
