@@ -9,6 +9,7 @@ import pytest
 
 import termsel
 from termsel import FeatureSet, Points
+from termsel.data.lattices import lattice_of
 
 LINES, COLUMNS = 9, 11
 
@@ -42,6 +43,21 @@ def test_a_lattice_is_told_and_no_point_of_it_is_called_a_blunder() -> None:
     assert "blunders were looked for" not in text
     # All are control; lines and columns are held out in turn.
     assert len(result.fit.control) == LINES * COLUMNS
+
+
+def test_a_lattice_in_numbers_of_32_bits_is_one() -> None:
+    """Products store longitudes and latitudes so: their rounding is no noise of measurements."""
+    line, sample = map(np.ravel, np.meshgrid(np.arange(0, 420, 13), np.arange(0, 420, 13),
+                                             indexing="ij"))
+    degrees = np.column_stack([14.2 + 1.3e-5 * sample + 1e-6 * line,
+                               47.2 - 9e-6 * line + 1e-9 * sample**2])
+    ground = np.column_stack([degrees, np.full(len(line), 500.0)])
+    points = Points(tuple(map(str, range(len(line)))), np.column_stack([line, sample]) * 1.0,
+                    ground.astype(np.float32).astype(np.float64))
+    assert lattice_of(points) is not None
+    rng = np.random.default_rng(0)
+    measured = ground + rng.normal(0.0, 1.3e-6, ground.shape)
+    assert lattice_of(replace(points, ground=measured)) is None
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])

@@ -31,6 +31,9 @@ ROUND = 1e-3
 SMOOTH = 0.05
 """Noise of the ground along lines up to which it was computed [px]: nobody measures so well."""
 
+_MARGIN = 1.5
+"""By which noise may be larger than that of rounding alone."""
+
 _RUN = 5
 """Neighbours by which noise is told: a cubic polynomial goes through all but one of them."""
 
@@ -88,7 +91,7 @@ def lattice_of(points: Points) -> Lattice | None:
         return None
     lattice = Lattice(line, column)
     noise = _noise(points, lattice)
-    return lattice if noise is None or noise <= SMOOTH else None
+    return lattice if noise is None or noise <= np.hypot(SMOOTH, _rounding(points)) else None
 
 
 def _numbered(values: FloatArray) -> IntArray:
@@ -116,10 +119,31 @@ def _noise(points: Points, lattice: Lattice) -> float | None:
     freedom = len(runs) - np.linalg.matrix_rank(columns)
     # Of noise that is independent in all points the weights, whose squares sum to 1, leave as much.
     noise = np.sqrt((residuals**2).sum(axis=0) / freedom)
+    return _in_pixels(points, noise)
+
+
+def _rounding(points: Points) -> float:
+    """Return the noise [px] of places that are stored in 32 bits; 0 of more precise ones.
+
+    Degrees in 32 bits are up to half a metre from the next.
+    """
+    plan = points.ground[:, :2]
+    single = plan.astype(np.float32)
+    if not np.array_equal(single.astype(np.float64), plan):
+        return 0.0
+    # Rounding errors are even between half a step less and more: of the variance step^2 / 12.
+    steps = np.spacing(np.abs(single).max(axis=0)).astype(np.float64)
+    return (_in_pixels(points, steps / np.sqrt(12.0)) or 0.0) * _MARGIN
+
+
+def _in_pixels(points: Points, noise: FloatArray) -> float | None:
+    """Return noise of x and of y on the ground as that of line or sample [px], None of a line."""
     # The affine map from the image to the ground turns noise on the ground into pixels.
-    pixels = np.linalg.lstsq(np.column_stack([np.ones(len(plan)), points.image]), plan)[0][1:]
-    return float(np.linalg.norm(np.linalg.solve(pixels.T, noise)) / np.sqrt(2.0)) \
-        if abs(np.linalg.det(pixels)) > 0.0 else None
+    columns = np.column_stack([np.ones(len(points)), points.image])
+    pixels = np.linalg.lstsq(columns, points.ground[:, :2])[0][1:]
+    if abs(np.linalg.det(pixels)) == 0.0:
+        return None
+    return float(np.linalg.norm(np.linalg.solve(pixels.T, noise)) / np.sqrt(2.0))
 
 
 def _smooth_columns(points: Points) -> FloatArray:
