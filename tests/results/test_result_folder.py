@@ -223,7 +223,7 @@ def _nested(depth: int) -> dict[str, Any]:
               "features": None}}, r"fit\.held_out: 1 errors, expected \d+"),
     ({"precision": 1.0}, r"damaged: the file has 'precision', which is not known"),
     ({"precision": 1.0, "versions": {"termsel": "0.1.0.dev7"}},
-     r"this result is damaged, or of development code \(0\.1\.0\.dev7\): the file has 'precision\'")])
+     r"damaged, or of development code \(0\.1\.0\.dev7\): the file has 'precision'")])
 def test_damaged_records_are_refused(change: dict[str, object], message: str, tmp_path: Path,
                                      ) -> None:
     write_result(example_results()[0], tmp_path)
