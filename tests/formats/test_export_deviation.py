@@ -19,6 +19,7 @@ from termsel.simulate import scene_truth, simulate_scene
 
 MEASURED = ("orthority-geojson", "points-csv", "residuals-gpkg", "lines-csv")
 POINTS = ("erdas-gcps", "pci-gcp", "metashape-markers", "pix4d-marks")
+CHECKED = ("asp-gcp", "odm-gcp-list", "micmac-xml", "gdal-options")
 """Formats of termsel-formats that hold points alone."""
 
 
@@ -248,6 +249,9 @@ def test_every_format_says_its_deviation_or_that_it_holds_measurements(
         elif name in POINTS:
             assert said(relief, name, tmp_path / f"{name}.x", caplog) == []
             assert f"{name} contains the control points, not the model" in caplog.text
+        elif name in CHECKED:
+            assert said(relief, name, tmp_path / f"{name}.x", caplog) == []
+            assert f"{name} holds 48 control and" in caplog.text
         else:
             assert said(relief, name, tmp_path / f"{name}.vrt", caplog)
 

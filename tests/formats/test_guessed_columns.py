@@ -6,6 +6,7 @@ with ids, flags and constants. The true reading is always among those shown.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -75,8 +76,39 @@ def test_the_crs_in_a_first_line_is_no_header(tmp_path: Path) -> None:
             f"gcp{i} {x:.2f} {y:.2f} {z} {sample} {line}\n" for i, (x, y, z, sample, line)
             in enumerate(zip(METRES["x"], METRES["y"], COLUMNS["z"], SAMPLE, LINE, strict=True))))
     with pytest.raises(TermselError, match="its first line is the CRS EPSG:32633") as caught:
-        termsel.read(tmp_path / "a.txt", crs="EPSG:32633")
+        termsel.read(tmp_path / "a.txt")
     assert caught.value.guesses[0] == "id=1,line=6,sample=5,x=2,y=3,z=4"
+    # The command that is shown runs: the line counts as a comment.
+    read = termsel.read(tmp_path / "a.txt", columns=caught.value.guesses[0])
+    assert read.crs == "EPSG:32633"
+    assert len(read.points) == N
+
+
+def test_a_title_is_no_row_and_a_repeated_text_no_id(tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    path.write_text("points of June\n" + "".join(
+        f"photo.jpg {sample} {line} {x} {y} G{i} 1.0\n" for i, (sample, line, x, y) in enumerate(
+            zip(SAMPLE, LINE, METRES["x"], METRES["y"], strict=True))))
+    with pytest.raises(TermselError, match="This mapping is a guess") as caught:
+        termsel.read(path, crs="EPSG:32619")
+    assert caught.value.guesses[0] == "id=6,enabled=7,line=3,sample=2,x=4,y=5"
+    for guess in caught.value.guesses:
+        assert len(termsel.read(path, crs="local", columns=guess).points) == N
+
+
+RECORDS = [{"id": 9, "map_id": 4, "x": 1145, "y": 825, "lat": "53.38", "lon": "-2.90"},
+           {"id": 10, "map_id": 4, "x": 1028, "y": 857, "lat": "53.39", "lon": "-2.91"}]
+
+
+@pytest.mark.parametrize("tree", [
+    RECORDS, {"stat": "ok", "items": RECORDS},
+    {"data": [{"id": record["id"], "type": "gcps", "attributes": record} for record in RECORDS]}])
+def test_lists_of_mapwarper_in_json_are_read(tree: object, tmp_path: Path) -> None:
+    (tmp_path / "gcps.json").write_text(json.dumps(tree))
+    points = termsel.read(tmp_path / "gcps.json", crs="EPSG:4326").points
+    assert points.ids == ("9", "10")
+    assert points.image.tolist() == [[825, 1145], [857, 1028]]
+    assert points.ground[:, :2].tolist() == [[-2.90, 53.38], [-2.91, 53.39]]
 
 
 def test_the_command_line_shows_all_guesses(tmp_path: Path, call: Callable[..., Any]) -> None:

@@ -32,6 +32,7 @@ from termsel_formats.points.grass import GrassPoints
 from termsel_formats.points.links import ArcgisLinks
 from termsel_formats.points.micmac import MicmacXml, MicmacXmlWriter
 from termsel_formats.points.odm import OdmGcpList, OdmGcpListWriter
+from termsel_formats.points.pix4d import Pix4dMarks
 
 GROUND = np.array([[500000.5, 5000000.0, 410.0], [500900.0, 5000010.0, 420.5],
                    [500020.0, 4999100.0, 430.0], [500880.0, 4999200.0, 415.0]])
@@ -141,6 +142,36 @@ def test_crs_lines_of_opendronemap(header: str, crs: str, tmp_path: Path) -> Non
     same(termsel.read(tmp_path / "gcp_list.txt"), crs)
 
 
+@pytest.mark.parametrize("header", [
+    "EPSG: 32633", "# my points\nEPSG:32633", "UTM 33N",
+    "EPSG:32633\ngeo_x geo_y geo_z im_x im_y image_name gcp_name"])
+def test_lists_of_opendronemap_as_people_write_them(header: str, tmp_path: Path) -> None:
+    (tmp_path / "gcp_list.txt").write_text(odm(header))
+    same(termsel.read(tmp_path / "gcp_list.txt"), "EPSG:32633")
+
+
+def test_names_of_images_may_have_blanks_between_tabs(tmp_path: Path) -> None:
+    text = odm().replace(" ", "\t").replace("DJI_1.JPG", "my photo 1.JPG")
+    (tmp_path / "gcp_list.txt").write_text(text)
+    points = termsel.read(tmp_path / "gcp_list.txt").points
+    assert points.ids == IDS
+
+
+@pytest.mark.parametrize("header", ["32633", "WGS84 UTM 33"])
+def test_a_list_with_half_a_crs_is_asked_for_the_other(header: str, tmp_path: Path) -> None:
+    (tmp_path / "gcp_list.txt").write_text(odm(header))
+    with pytest.raises(TermselError, match="line 1: unknown CRS.*Did you mean EPSG:32633"):
+        termsel.read(tmp_path / "gcp_list.txt")
+
+
+def test_the_image_that_is_given_is_the_one_of_a_list(tmp_path: Path) -> None:
+    (tmp_path / "gcp_list.txt").write_text(odm(images=("DJI_1.JPG", "DJI_2.JPG")))
+    with pytest.warns(rasterio.errors.NotGeoreferencedWarning):
+        rasterio.open(tmp_path / "dji_2.jpg", "w", driver="GTiff", width=2000, height=2000,
+                      count=1, dtype="uint8", sparse_ok=True).close()
+    same(termsel.read(tmp_path / "gcp_list.txt", image=tmp_path / "dji_2.jpg"), "EPSG:32633")
+
+
 def test_a_list_of_several_images_asks_which(tmp_path: Path) -> None:
     path = tmp_path / "gcp_list.txt"
     path.write_text(odm(images=("DJI_1.JPG", "DJI_2.JPG")))
@@ -158,6 +189,13 @@ def test_measures_of_micmac_find_their_ground(tmp_path: Path) -> None:
     same(termsel.read(tmp_path / "a-S2D.xml", crs="EPSG:32633"), "EPSG:32633")
     with pytest.raises(TermselError, match="no measures in images"):
         termsel.read(tmp_path / "a-S3D.xml", crs="EPSG:32633")
+
+
+def test_the_ground_of_micmac_is_found_beside_the_measures(tmp_path: Path) -> None:
+    (tmp_path / "Mesure.xml").write_text(micmac().replace(appuis(), ""))
+    (tmp_path / "Appuis.xml").write_text(appuis())
+    same(termsel.read(tmp_path / "Mesure.xml", crs="EPSG:32633", ground="Appuis.xml"),
+         "EPSG:32633")
 
 
 def test_an_xml_bomb_is_refused(tmp_path: Path) -> None:
@@ -182,6 +220,80 @@ def test_option_files_and_numbered_links(tmp_path: Path) -> None:
         f"{i},{row.replace(chr(9), ',')}\n" for i, row in enumerate(links().splitlines(), 1)))
     for name in ("gcps.opt", "links.csv"):
         same(termsel.read(tmp_path / name, crs="EPSG:32633"), "EPSG:32633", heights=False)
+
+
+def gdal(form: str) -> str:
+    """Return the points as arguments of a form of -gcp."""
+    return " ".join(form.format(sample + 0.5, line + 0.5, x, y, z)
+                    for (line, sample), (x, y, z) in zip(IMAGE, GROUND, strict=True))
+
+
+GDAL_FORMS = {
+    "quoted": "gdal_translate " + gdal('-gcp "{}" "{}" "{}" "{}" "{}"') + " -a_srs EPSG:32633 a b",
+    "commas": "gdal raster edit " + gdal("--gcp {},{},{},{},{}") + " --crs=EPSG:32633 a.tif",
+    "PowerShell": "gdal_translate `\n" + gdal("-gcp {} {} {} {} {} `\n")
+                  + " -a_srs EPSG:32633 `\n a.tif b.tif",
+    "a variable": "GCPS=\"" + gdal("-gcp {} {} {} {} {}") + "\"\ngdal_translate $GCPS -a_srs "
+                  "EPSG:32633 a.tif b.tif",
+    "the warp": "gdal_translate " + gdal("-gcp {} {} {} {} {}") + " a.tif b.tif\n"
+                "gdalwarp -s_srs EPSG:32633 -t_srs EPSG:3857 b.tif c.tif",
+    "escaped": gdal("-gcp {} {} {} {} {}") + ' -a_srs "GEOGCS[\\"WGS 84\\",DATUM[\\"WGS_1984\\",'
+               'SPHEROID[\\"WGS 84\\",6378137,298.257223563]],PRIMEM[\\"Greenwich\\",0],'
+               'UNIT[\\"degree\\",0.0174532925199433]]"'}
+
+
+@pytest.mark.parametrize("form", GDAL_FORMS)
+def test_options_of_gdal_in_all_their_forms(form: str, tmp_path: Path) -> None:
+    (tmp_path / "a.sh").write_text(GDAL_FORMS[form])
+    if form == "escaped":
+        assert GdalOptions().read(tmp_path / "a.sh").crs == "EPSG:4326"
+    else:
+        same(termsel.read(tmp_path / "a.sh"), "EPSG:32633")
+
+
+def test_links_say_how_they_are_read(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, logger="termsel")
+    (tmp_path / "links.txt").write_text(links())
+    termsel.read(tmp_path / "links.txt", crs="EPSG:32633")
+    assert "read as links of ArcGIS" in caplog.text
+    assert "the first is at sample 100, line 20.5, x 500000.5, y 5000000.0" in caplog.text
+
+
+def test_fields_of_pci_in_another_order_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.gcp"
+    path.write_text("".join(f"{name} {x} {y} {z} {sample + 0.5} {line + 0.5}\n"
+                            for name, (line, sample), (x, y, z) in zip(IDS, IMAGE, GROUND,
+                                                                      strict=True)))
+    with pytest.raises(TermselError, match="line 1: the fields are taken as ID P L X Y Z, and"):
+        termsel.read(path, crs="EPSG:32633")
+    same(termsel.read(path, crs="EPSG:32633", layout="IDXYZPL"), "EPSG:32633")
+
+
+def test_a_header_of_pix4d_says_what_comes_first(tmp_path: Path) -> None:
+    marks = "".join(f"a.jpg,{name},{sample + 0.5},{line + 0.5}\n"
+                    for name, (line, sample) in zip(IDS, IMAGE, strict=True))
+    (tmp_path / "a.csv").write_text("imagename,label,x,y\n" + marks)
+    (tmp_path / "a_gcps.csv").write_text("label,northing,easting,z\n" + "".join(
+        f"{name},{y},{x},{z}\n" for name, (x, y, z) in zip(IDS, GROUND, strict=True)))
+    same(termsel.read(tmp_path / "a.csv", crs="EPSG:32633"), "EPSG:32633")
+
+
+def test_the_datum_of_a_gcp_file_is_in_its_comment(tmp_path: Path) -> None:
+    (tmp_path / "a.gcp").write_text(
+        '# WKT: GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563]],'
+        'PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433]]\n# id lat lon height\n'
+        "1 46.9 15.8 240 1 1 1 a.tif 10 20 1 1\n2 46.8 15.9 230 1 1 1 a.tif 900 40 1 1\n")
+    features = termsel.read(tmp_path / "a.gcp")
+    assert features.crs == "EPSG:4979"
+    assert features.points.ground[0].tolist() == [15.8, 46.9, 240.0]
+
+
+def test_images_of_each_format_are_parts_of_a_study(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("a.jpg,P1,1,2\na.jpg,P2,3,4\nb.jpg,P1,5,6\n")
+    (tmp_path / "a_gcps.csv").write_text("P1,1,2,3\nP2,4,5,6\n")
+    assert list(Pix4dMarks().parts(tmp_path / "a.csv")) == ["a.jpg", "b.jpg"]
+    with pytest.raises(TermselError, match="a.jpg, b.jpg.*termsel compare --points FILE"):
+        termsel.read(tmp_path / "a.csv", crs="local")
 
 
 def test_degrees_of_the_west_are_no_links(tmp_path: Path) -> None:

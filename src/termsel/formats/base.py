@@ -238,14 +238,19 @@ def located(error: TermselError, file: Path | None, line: int | None = None,
 
 
 def image_of(path: Path, images: Iterable[_Image], asked_for: _Image | None, option: str) -> _Image:
-    """Return which image of a file is read: the wanted or only one; an option chooses it."""
+    """Return which image of a file is read: the wanted or only one; an option chooses it.
+
+    Images with names are parts of the file, so that a study takes them all.
+    """
     names_in_file = sorted(set(images))
     name = names_in_file[0] if asked_for is None and len(names_in_file) == 1 else asked_for
     if name is None or name not in names_in_file:
         names = [f"{image:g}" if isinstance(image, float) else image or "without a name"
                  for image in names_in_file]
+        each = "" if any(isinstance(image, float) for image in names_in_file) else \
+            ", or fit each with termsel compare --points FILE"
         raise TermselError(f"the file has points of the images {first_of(names)}", file=path,
-                           hint=f"Choose one with --set {option}.")
+                           hint=f"Choose one with --set {option}{each}.")
     return name
 
 

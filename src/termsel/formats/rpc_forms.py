@@ -39,6 +39,8 @@ _COEFFICIENT_NAME = re.compile("({})({})(?:coeffs?|coefs?)?([0-9]*)".format(*(
     "|".join(sorted(words, key=len, reverse=True)) for words in (_COORDINATES, _NUMBERS))))
 _ERRORS = {"errbias": "ERR_BIAS", "errrand": "ERR_RAND"}
 _IS_RPC = {"LINE_NUM_COEFF", "SAMP_DEN_COEFF"}
+_UNKNOWN_VALUES = ("none", "null", "~", "")
+"""How JSON and YAML state that a value is not known, as Orthority does of errors."""
 
 
 def rpcs_of_tree(tree: object) -> dict[str, Items]:
@@ -79,13 +81,24 @@ def tree_of_json(text: str) -> object:
 
 
 def tree_of_yaml(text: str) -> dict[str, Any]:
-    """Return dictionaries of the YAML that Orthority writes: blocks of keys, lists in brackets.
+    """Return dictionaries of the YAML that Orthority writes: blocks of keys, and lists.
 
-    Nothing where it is of another kind.
+    Lists are in brackets, or have an item a line after a dash. Nothing where it is of another kind.
     """
     tree: dict[str, Any] = {}
     levels: list[tuple[int, dict[str, Any]]] = [(-1, tree)]
+    parent = tree
+    key = ""
     for line in _whole_lines(text):
+        if line.lstrip().startswith("- "):
+            if parent.get(key) == {}:
+                parent[key] = []
+                # What was taken for a block of keys is a list.
+                levels.pop()
+            if not isinstance(parent.get(key), list):
+                return {}
+            parent[key].append(line.strip().removeprefix("- ").strip())
+            continue
         name, colon, text_of_value = line.partition(":")
         key = name.strip().strip("\"'")
         if not colon or not key or text_of_value[:1].strip():
@@ -162,7 +175,7 @@ def _items(values: Mapping[str, Any]) -> Items:
     for key, value in values.items():
         # "lineNumCoef", "LINE_NUM_COEFF" and "line num coeff" have the same letters.
         letters = re.sub(r"[^a-z0-9]", "", str(key).lower())
-        if letters in _ERRORS:
+        if letters in _ERRORS and str(value).lower() not in _UNKNOWN_VALUES:
             items[_ERRORS[letters]] = str(value)
         match = _COEFFICIENT_NAME.fullmatch(letters)
         if match is None:

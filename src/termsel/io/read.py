@@ -180,10 +180,11 @@ def read(
         paths = [None if path is None else once[Path(path)] for path in (points, lines, areas)]
         if image_lines is not None:
             of_readers["image_lines"] = str(once[Path(image_lines)])
-        features = read_features(
-            *paths[:2], areas=paths[2], crs=crs,
-            readers=readers_of([path for path in paths if path is not None], formats),
-            formats=formats, options=of_readers, origin=origin)
+        readers = readers_of([path for path in paths if path is not None], formats)
+        if image is not None and paths[0] is not None and "image_name" not in of_readers:
+            of_readers |= _options_of_part(paths[0], Path(image).name, readers, formats, of_readers)
+        features = read_features(*paths[:2], areas=paths[2], crs=crs, readers=readers,
+                                 formats=formats, options=of_readers, origin=origin)
         features = _of_image(features, image, size)
     files = [path for path in (points, lines, areas) if path is not None]
     try:
@@ -191,6 +192,16 @@ def read(
         return _with_packages(features, of_packages, image)
     except TermselError as error:
         raise (located(error, Path(files[0])) if error.file is None else error) from error
+
+
+def _options_of_part(path: Path, image: str, readers: Sequence[type[Reader]],
+                     formats: Sequence[str], options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the options with which a file of the points of several images is read of one."""
+    reader = find_reader(path, readers, next(iter(formats), None), options)
+    named = {name.casefold(): part for name, part in reader.parts(path).items()}
+    # Metashape calls the camera of DJI_1.JPG DJI_1.
+    name = image.casefold()
+    return named.get(name) or named.get(name.rpartition(".")[0]) or {}
 
 
 def read_options() -> tuple[Option, ...]:

@@ -108,11 +108,12 @@ def termsel_readers() -> Iterable[type[Reader]]:
     from termsel.formats.readers.csv_tables import LinesCsv, PointsCsv
     from termsel.formats.readers.geojson_points import GeoJsonPoints, VectorPoints
     from termsel.formats.readers.ground_lines import GeoJsonLines, VectorLines
+    from termsel.formats.readers.json_records import PointsJson
     from termsel.formats.readers.qgis_points import QgisPoints
 
     # A table of corners has all columns of points, so it is asked for first.
     return [AreasCsv, PointsCsv, LinesCsv, QgisPoints, GeoJsonPoints, GeoJsonLines,
-            VectorPoints, VectorLines]
+            VectorPoints, VectorLines, PointsJson]
 
 
 @hookimpl

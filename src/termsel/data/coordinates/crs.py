@@ -41,7 +41,7 @@ _OF_EARTH = 0.01  # share by which ellipsoids of the Earth differ at most
 _QUOTED_NAME = re.compile(r'\w+\s*\[\s*"([^"]{1,80})"')
 _BODY = re.compile(r"(?:GCS_|D_)?([A-Za-z]+)")
 
-_CODE = re.compile(r"(?:urn:ogc:def:crs:)?(EPSG|OGC):(?:[\d.]*:)?(\w+)", re.IGNORECASE)
+_CODE = re.compile(r"(?:urn:ogc:def:crs:)?(EPSG|OGC):(?:[\d.]*:)?\s*(\w+)", re.IGNORECASE)
 # As old programs of GDAL, WMS and people write codes.
 _CODE_LIKE = re.compile(r"(?:https?://www\.opengis\.net/(?:def/crs/(EPSG|OGC)/[\d.]+/|"
                         r"gml/srs/(epsg)\.xml#)|\+init=(epsg):|(EPSG)[\s_-]+)(\w+)/?",

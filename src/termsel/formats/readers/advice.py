@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from termsel.core.errors import TermselError
-from termsel.data.coordinates.crs import normalise, short
+from termsel.data.coordinates.crs import short
 from termsel.data.features import FloatArray
 from termsel.data.tables.columns import POINTS, Aliases, declared, matches, parse_columns
 from termsel.data.tables.numbers import COMMA, POINT, BadCell, decimal_signs, read_numbers
@@ -23,7 +22,6 @@ _ROWS = 200
 _BELONGS = 0.9
 """Share of a column's variance that ground explains of an image, or an image of its ground."""
 
-_CRS_LINE = re.compile(r"(\+proj=|EPSG:|WGS ?84)", re.IGNORECASE)
 _SPREADSHEETS = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
 
 
@@ -110,10 +108,7 @@ def unknown_table(path: Path, expected: str, columns: str) -> TermselError | Non
     except TermselError as error:
         is_table = isinstance(error, BadText) or path.suffix.lower() in _SPREADSHEETS
         return error if is_table else None
-    # Some programs write the CRS into the first line, without a #.
-    crs = _crs_of(cells.rows[0]) if cells.rows else ""
-    all_rows = cells.rows[1:] if crs else cells.rows
-    rows = [row for row in all_rows[:_ROWS] if len(row) == len(all_rows[-1]) <= WIDEST]
+    rows = [row for row in cells.rows[:_ROWS] if len(row) == len(cells.rows[-1]) <= WIDEST]
     values = _numbers(rows[1:])
     if len(rows) >= 2 and rows[0] and (missing := _missing_ground(path, rows[0], expected)):
         return missing
@@ -128,8 +123,9 @@ def unknown_table(path: Path, expected: str, columns: str) -> TermselError | Non
     message = "this table has no header that names its columns" if bare else \
         f"the header names too few columns that are known: {', '.join(map(str.strip, header))}"
     unnamed = TermselError(message, file=path, hint=expected)
-    if crs:
-        unnamed.what += f", and its first line is the CRS {crs}: write it as # crs: {crs}"
+    # Some programs write the CRS into the first line, without a #.
+    if crs := _crs_of(cells.comments):
+        unnamed.what += f", and its first line is the CRS {crs}"
     return with_advice(unnamed, header, rows if bare else rows[1:],
                        {**by_name, **declared(header, stated)}, POINTS)
 
@@ -149,15 +145,10 @@ def _missing_ground(path: Path, header: Sequence[str], expected: str) -> Termsel
     return None
 
 
-def _crs_of(row: Sequence[str]) -> str:
-    """Return the CRS that the first line of a file states, "" where it states none."""
-    text = " ".join(cell.strip() for cell in row).strip()
-    if not _CRS_LINE.match(text):
-        return ""
-    try:
-        return short(normalise(text))
-    except TermselError:
-        return ""
+def _crs_of(comments: Mapping[int, str]) -> str:
+    """Return the CRS in the comment that stands for the first line of a file, "" for none."""
+    crs = comments.get(1, "").partition("# crs:")[2].strip()
+    return short(crs) if crs else ""
 
 
 def _numbers(rows: Sequence[Sequence[str]]) -> dict[int, FloatArray]:
@@ -186,7 +177,7 @@ def _readings(rows: Sequence[Sequence[str]], width: int,
     """
     rows = [row for row in rows[:_ROWS] if len(row) == width]
     numbers = {i: column for i, column in _numbers(rows).items() if i not in known_columns.values()}
-    extra = _id_and_flags(numbers, known_columns, width)
+    extra = _id_and_flags(rows, numbers, known_columns)
     # A constant column is no coordinate.
     taken_columns = extra.values()
     values = {i: column for i, column in numbers.items()
@@ -204,11 +195,15 @@ def _readings(rows: Sequence[Sequence[str]], width: int,
     return [extra | reading for reading in _of_missing(missing, list(values))]
 
 
-def _id_and_flags(numbers: Mapping[int, FloatArray], known_columns: Mapping[str, int],
-                  width: int) -> dict[str, int]:
+def _id_and_flags(rows: Sequence[Sequence[str]], numbers: Mapping[int, FloatArray],
+                  known_columns: Mapping[str, int]) -> dict[str, int]:
     """Return the column of ids, and of the flags 0 and 1 of points that are in use."""
     extra: dict[str, int] = {}
-    texts = [i for i in range(width) if i not in numbers and i not in known_columns.values()]
+    texts = []
+    for i, cells in enumerate(zip(*rows, strict=True)):
+        # The same text twice, such as the name of an image, is no id.
+        if i not in numbers and i not in known_columns.values() and len(set(cells)) == len(cells):
+            texts.append(i)
     # Consecutive numbers in the first column are ids.
     first = next(iter(numbers), None)
     counts = first is not None and len(numbers) > 4 and np.array_equal(

@@ -17,6 +17,7 @@ import numpy as np
 from termsel.core.errors import TermselError, requires
 from termsel.core.files.apart import apart
 from termsel.core.files.names import is_there
+from termsel.data.coordinates.crs import normalise
 from termsel.data.tables.columns import CENTRAL_EUROPEAN, FOREIGN, USE, Aliases, declared, matches
 from termsel.formats.base import read_data
 
@@ -26,6 +27,8 @@ _DELIMITERS = (",", ";", "\t", "|", "")
 _FEWEST_NAMES = 3  # of a header
 _HEADER_WITHIN = 4_000  # characters in which a header is looked for among comments
 _SEARCHED = 20  # rows in which a header may be found, below a title
+_CRS_LINE = re.compile(r"\s*(\+proj=|\+init=|EPSG\s*:|WGS ?84|ETRS ?89|ESRI:|PROJC|GEOG)",
+                       re.IGNORECASE)
 WIDEST = 1_000  # columns
 _SHEETS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1")  # zip of .xlsx and .ods; .xls
 
@@ -97,7 +100,8 @@ def read_cells(path: Path, aliases: Aliases, stated: Mapping[str, str], layer: s
     is_unicode = encoding.startswith("utf")
     notes = () if is_unicode else (
         f"the text of {path} is not UTF-8; it is read as {encoding}",)
-    return replace(_of_text(path, text, _delimiter(text, aliases, stated)), notes=notes)
+    cells = _of_text(path, text, _delimiter(text, aliases, stated))
+    return replace(_without_crs_line(cells), notes=notes)
 
 
 def sniffed(path: Path, head: bytes, aliases: Aliases,
@@ -225,7 +229,8 @@ def _delimiter(text: str, aliases: Aliases, stated: Mapping[str, str]) -> str:
     best = max(candidates)
     if best[0] >= _FEWEST_NAMES:
         return best[-1]
-    line = lines[0] if lines else ""
+    # The last of the lines, as a title may stand above the others.
+    line = lines[-1] if lines else ""
     # Commas between digits may be decimal, where anything else separates cells.
     bare = re.sub(r"(?<=\d),(?=\d)", "", line)
     sign = max(",;\t|", key=bare.count)
@@ -262,6 +267,23 @@ def _of_text(path: Path, text: str, delimiter: str) -> Cells:
                            line=end + 1, hint='Look for a quotation mark (") that is not closed.'
                            ) from error
     return Cells(rows, lines, comments, delimiter)
+
+
+def _without_crs_line(cells: Cells) -> Cells:
+    """Return the cells without a first line that is a CRS, which becomes a comment that states it.
+
+    Lists of OpenDroneMap begin so, and tables made from them.
+    """
+    text = cells.delimiter.join(cells.rows[0]) if cells.delimiter and cells.rows else \
+        " ".join(chain.from_iterable(cells.rows[:1]))
+    if not _CRS_LINE.match(text):
+        return cells
+    try:
+        crs = normalise(text)
+    except TermselError:
+        return cells
+    return replace(cells, rows=cells.rows[1:], lines=cells.lines[1:],
+                   comments={**cells.comments, cells.lines[0]: f"# crs: {crs}"})
 
 
 def _sheet(path: Path, aliases: Aliases, stated: Mapping[str, str], layer: str | None) -> Cells:
@@ -342,8 +364,13 @@ def of_records(records: Sequence[Mapping[str, Any]], row_name: str,
 
 def without_header(cells: Cells, stated: Mapping[str, str]) -> Cells:
     """Return the cells with numbers for a header, where columns are declared by number and the
-    first row holds numbers there."""
-    first = cells.rows[0] if cells.rows else []
+    first row holds numbers there.
+
+    A title above that row, whose cells are too few, is left out.
+    """
+    largest = max((int(name) for name in stated.values() if name.isdecimal()), default=0)
+    titles = next((i for i, row in enumerate(cells.rows[:_SEARCHED]) if len(row) >= largest), 0)
+    first = cells.rows[titles] if cells.rows else []
     columns = declared(first, stated)
     names = {name.strip().casefold() for name in first}
     by_number = [i for meaning, i in columns.items()
@@ -352,4 +379,7 @@ def without_header(cells: Cells, stated: Mapping[str, str]) -> Cells:
     if not by_number or not all(any(map(str.isdigit, first[i])) for i in by_number):
         return cells
     header = [str(i + 1) for i in range(len(first))]
-    return replace(cells, rows=[header, *cells.rows], lines=[0, *cells.lines])
+    title = " ".join(chain.from_iterable(cells.rows[:titles]))
+    note = (f"the first line is left out as a title: {title}",) if titles else ()
+    return replace(cells, rows=[header, *cells.rows[titles:]], lines=[0, *cells.lines[titles:]],
+                   notes=(*cells.notes, *note))

@@ -55,7 +55,7 @@ class PointsCsv(TableReader):
         wanted = self.options["image_name"]
         if images or wanted is not None:
             image = image_of(table.path or Path(), images, wanted,
-                             "image_name=NAME, or fit each with termsel compare --points FILE")
+                             "image_name=NAME")
             table = table.take([row for row, name in enumerate(images) if name == image])
         features = points_of(table, table.crs)
         _check_pixels(table, features)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import chain
 from math import nan
 from pathlib import Path
@@ -48,6 +48,10 @@ class GeoJsonPoints(Reader):
         flat = "z" not in table.columns or not any(table.columns["z"])
         return points_of(table, crs or ("EPSG:4326" if flat else "EPSG:4979"))
 
+    def parts(self, path: Path) -> dict[str, dict[str, Any]]:
+        """Return the images of the points, each of which is a part."""
+        return _images_of(read_geojson(path, POINT_KINDS)[0])
+
 
 class VectorPoints(Reader):
     """Points of a GeoPackage, Shapefile or FlatGeobuf, with image columns as in GeoJSON."""
@@ -65,6 +69,16 @@ class VectorPoints(Reader):
         """Return the points; errors name file, feature and column."""
         features, crs = read_layer(path, self.options["layer"], POINT_KINDS)
         return points_of(_table(path, features, self.options), crs)
+
+    def parts(self, path: Path) -> dict[str, dict[str, Any]]:
+        """Return the images of the points, each of which is a part."""
+        return _images_of(read_layer(path, self.options["layer"], POINT_KINDS)[0])
+
+
+def _images_of(features: Sequence[Feature]) -> dict[str, dict[str, Any]]:
+    """Return the options that read the points of each of several images."""
+    images = dict.fromkeys(feature.text("filename") for feature in features)
+    return {image: {"image_name": image} for image in images} if len(images) > 1 else {}
 
 
 def _table(path: Path, features: list[Feature], options: Mapping[str, Any]) -> Table:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -19,6 +20,7 @@ from termsel.formats.repeated import averaged, is_averaging
 
 _ENABLED = {"": True, "1": True, "true": True, "yes": True, "on": True,
             "0": False, "false": False, "no": False, "off": False}
+_WHOLE = re.compile(r"([01])\.0*")
 
 
 @dataclass(frozen=True)
@@ -114,7 +116,11 @@ class Table:
                 raise self.error(f"unknown role {cell.strip()!r}", cells.index(cell), "role",
                                  f"Roles are {', '.join(ROLES)}, or blank.")
         flags = self.columns.get("enabled", ())
-        enabled = {cell: _ENABLED.get(cell.strip().lower()) for cell in set(flags)}
+        enabled = {}
+        for cell in set(flags):
+            # Programs that keep numbers alone write 1.0 for 1.
+            flag = _WHOLE.sub(r"\1", cell.strip().lower())
+            enabled[cell] = _ENABLED.get(flag)
         for cell, on in enabled.items():
             if on is None:
                 raise self.error(f"{cell.strip()!r} is neither true nor false",

@@ -201,8 +201,6 @@ def table_of(path: Path | None, cells: Cells, aliases: Aliases, stated: Mapping[
 
     `stated` has names or numbers of columns by meaning, as the user says.
     """
-    for note in cells.notes:
-        log.info("Note: %s.", note)
     crs = _declared_crs(path, cells.comments)
     # An empty file, or comments alone.
     if not cells.rows:
@@ -211,6 +209,8 @@ def table_of(path: Path | None, cells: Cells, aliases: Aliases, stated: Mapping[
     # One --columns may serve several files, of points and of lines.
     stated = {meaning: name for meaning, name in stated.items() if meaning in aliases}
     cells = without_header(cells, stated)
+    for note in cells.notes:
+        log.info("Note: %s.", note)
     # Only text and sheets may have a title above their header; records have keys.
     first = 0 if cells.row_name != "line" else header_row(cells.rows, aliases, stated)
     header = cells.rows[first]

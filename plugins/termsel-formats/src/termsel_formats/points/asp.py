@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from termsel import FeatureSet, Option, Reader, Result, TermselError
-from termsel.toolkit import read_text, write_text
+from termsel.toolkit import normalise, read_text, write_text
 from termsel.toolkit.coordinates import to_wgs84
 from termsel.toolkit.files import IMAGE_NAME, Table, image_of, is_number
 from termsel_formats.points.written import (
@@ -37,7 +37,10 @@ _READ = {"id": "id", "y": "lat", "x": "lon", "z": "height", "sample": "column", 
 
 _NAMED = re.compile(r"#\s*id (\d+) is (.+)")
 """Comments of termsel on the name of a point."""
+_WKT = re.compile(r"#\s*WKT:\s*(\S.*)")
 
+_WKT_OF_WGS84 = ('GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563]],'
+                 'PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433],AUTHORITY["EPSG","4326"]]')
 _LARGEST_ID = 2**31 - 1
 
 _FREE = 10000.0
@@ -47,8 +50,8 @@ _FREE = 10000.0
 class AspGcp(Reader):
     """Points of the Ames Stereo Pipeline, latitude before longitude.
 
-    The datum of the heights is not in the file, so the CRS must be stated: ``--crs EPSG:4979``
-    for WGS84. Pixel centres are taken to have whole numbers.
+    The datum is in a comment, ``# WKT: GEOGCS[...]``, as gcp_gen and dem2gcp write it, or must be
+    stated: ``--crs EPSG:4979`` for WGS84. Pixel centres are taken to have whole numbers.
     """
 
     name = "asp-gcp"
@@ -80,7 +83,8 @@ class AspGcp(Reader):
         table = Table(path, "", _READ, {key: cells_of[name] for key, name in _READ.items()},
                       lines)
         return FeatureSet(table.points(table.stack("line", "sample"), table.stack("x", "y", "z"),
-                                       table.sigma("sigma_line", "sigma_sample"), ()), crs="")
+                                       table.sigma("sigma_line", "sigma_sample"), ()),
+                          crs=_datum(path))
 
     def parts(self, path: Path) -> dict[str, dict[str, Any]]:
         """Return the images of the file, each of which is a part."""
@@ -115,6 +119,18 @@ def _names(path: Path) -> dict[str, str]:
     """Return the names of points by their ids, from the comments of termsel."""
     matches = map(_NAMED.match, read_text(path).splitlines())
     return {match[1]: match[2].strip() for match in matches if match}
+
+
+def _datum(path: Path) -> str:
+    """Return the CRS of the comment that states the datum, "" where there is none to read."""
+    stated = map(_WKT.match, read_text(path).splitlines())
+    wkt = next((match[1] for match in stated if match), "")
+    try:
+        crs = normalise(wkt)
+    except TermselError:
+        return ""
+    # Heights of these files are above the ellipsoid of the datum.
+    return "EPSG:4979" if crs == "EPSG:4326" else crs
 
 
 def _idle(line: str) -> bool:
@@ -159,7 +175,7 @@ class AspGcpWriter(PointsWriter):
         ground = to_wgs84(result.features.crs)(points.ground)
         sigma_image = image_sigma(points, result)
         image = _word(image_name(self.options["image"], path))
-        rows = [f"# {' '.join(_GROUND)} {' '.join(_IMAGE)}",
+        rows = [f"# WKT: {_WKT_OF_WGS84}", f"# {' '.join(_GROUND)} {' '.join(_IMAGE)}",
                 "# WGS84; heights above the ellipsoid [m]; rows and columns from 0"]
         numbers = _ids(points.ids)
         columns = (points.image.tolist(), ground.tolist(), sigma_image.tolist(), checked.is_check)

@@ -31,9 +31,13 @@ from termsel_formats.points.written import (
 )
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-_OPTION = re.compile(rf"-gcp\s+({_NUMBER})\s+({_NUMBER})\s+({_NUMBER})\s+({_NUMBER})"
-                     rf"(?:\s+({_NUMBER}))?(?=\s|$)")
-_SRS = re.compile(r"-(?:a_srs|gcp_srs|s_srs)\s+(?:\"([^\"]*)\"|'([^']*)'|(\S+))")
+_QUOTED = rf"""["']?({_NUMBER})["']?"""
+_OPTION = re.compile(rf"-gcp\s+{_QUOTED}\s+{_QUOTED}\s+{_QUOTED}\s+{_QUOTED}(?:\s+{_QUOTED})?"
+                     r"""(?=[\s"')]|$)""")
+# The commands of GDAL 3.11 and later have --gcp pixel,line,easting,northing[,elevation].
+_OPTION_WITH_COMMAS = re.compile(rf"--gcp[\s=]+[\"']?({_NUMBER}(?:,{_NUMBER}){{3,4}})[\"']?")
+_SRS = re.compile(r"-(?:a_srs|gcp_srs|s_srs|-crs|-src-crs|-input-crs)[\s=]+"
+                  r"""(?:"((?:\\.|[^"\\])*)"|'([^']*)'|(\S+))""")
 _IMAGE_FILE = re.compile(
     r"""(?:^|\s)["']?([^\s"'<>|]+\.(?:tiff?|jpe?g|jp2|png|vrt|img|bmp|gif))["']?"""
     r"(?=\s|$)", re.IGNORECASE)
@@ -54,7 +58,9 @@ class GdalOptions(Reader):
 
     def sniff(self, path: Path, head: bytes) -> bool:
         """Return True for text with the option -gcp and its numbers."""
-        return b"\0" not in head and _OPTION.search(head.decode("utf-8", "replace")) is not None
+        text = head.decode("utf-8", "replace")
+        return b"\0" not in head and any(
+            option.search(text) for option in (_OPTION, _OPTION_WITH_COMMAS))
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points of one image; errors name the file."""
@@ -67,14 +73,29 @@ class GdalOptions(Reader):
             sample, line, x, y, *height = (float(number) for number in matched if number)
             table.append((line - CORNER, sample - CORNER, x, y,
                           height[0] if height else np.nan))
-        srs = _SRS.search(command)
+        # Where a command does not state it, another command on the same points may.
+        stated = _stated_crs(command) or _stated_crs(_joined(path))
         return FeatureSet(points_of(path, [""] * len(table), table),
-                          crs=_readable(next(filter(None, srs.groups()), "") if srs else ""))
+                          crs=stated[0] if len(stated) == 1 else "")
 
     def parts(self, path: Path) -> dict[str, dict[str, Any]]:
         """Return the images of a script, each of which is a part."""
         images = _commands(path)
         return {image: {"image_name": image} for image in images} if len(images) > 1 else {}
+
+
+def _stated_crs(text: str) -> list[str]:
+    """Return the different CRSs that options state of GCPs."""
+    stated = []
+    for quoted, single, bare in _SRS.findall(text):
+        stated.append(_readable(re.sub(r"\\(.)", r"\1", quoted) or single or bare))
+    return list(dict.fromkeys(filter(None, stated)))
+
+
+def _joined(path: Path) -> str:
+    """Return the text of a script with each command on one line, and GCPs as -gcp has them."""
+    joined = re.sub(r"[\\^`]\s*\n", " ", read_text(path))
+    return _OPTION_WITH_COMMAS.sub(lambda option: f"-gcp {option[1].replace(',', ' ')}", joined)
 
 
 def _commands(path: Path) -> dict[str, str]:
@@ -83,9 +104,8 @@ def _commands(path: Path) -> dict[str, str]:
     A script has a command a line, but for lines that end with a backslash or, on Windows, with ^;
     an option file has no command, and an option a line.
     """
-    joined = re.sub(r"[\\^`]\s*\n", " ", read_text(path))
-    command_lines = [line for line in joined.splitlines()
-            if not re.match(r"\s*(#|::|rem\b|//)", line, re.IGNORECASE)]
+    command_lines = [line for line in _joined(path).splitlines() if not re.match(
+        r"\s*(#|::|rem\b|//)", line, re.IGNORECASE)]
     if not any(re.search(r"\bgdal", line) for line in command_lines):
         command_lines = [" ".join(command_lines)]
     commands: dict[str, str] = {}

@@ -12,6 +12,7 @@ formats arcgis-csv and arcgis-tsv of its package io.
 
 from __future__ import annotations
 
+import logging
 import re
 from itertools import chain
 from pathlib import Path
@@ -22,6 +23,8 @@ from termsel import FeatureSet, Reader, TermselError
 from termsel.toolkit import read_text
 from termsel.toolkit.files import Table, is_number
 from termsel_formats.points.common import CORNER
+
+log = logging.getLogger("termsel.formats")
 
 _MEANINGS = {"sample": "X Source", "line": "Y Source", "x": "X Map", "y": "Y Map"}
 _WIDTHS = (4, 5, 7, 8)  # without and with a number, without and with three residuals
@@ -86,6 +89,10 @@ class ArcgisLinks(Reader):
             names["id"] = "number"
         table = Table(path, "", names, columns, lines)
         image = table.stack("line", "sample") * [-1.0, 1.0] - CORNER
+        # No header says so: the signs of the second column tell.
+        log.info("Note: %s has no header. It is read as links of ArcGIS, X Source, Y Source, X Map, "
+                 "Y Map, whose Y Source counts upwards; the first is at sample %.6g, line %.6g, "
+                 "x %s, y %s.", path, image[0, 1], image[0, 0], columns["x"][0], columns["y"][0])
         return FeatureSet(table.points(image, table.stack("x", "y", "z"), None, ()), crs="")
 
 

@@ -7,7 +7,7 @@ columns and rows from the outer corner of the first pixel).
 from __future__ import annotations
 
 from pathlib import Path
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
@@ -59,6 +59,17 @@ class MetashapeMarkers(Reader):
             return FeatureSet(points, crs=_crs(root))
         except TermselError as error:
             raise located(error, path) from error
+
+
+    def parts(self, path: Path) -> dict[str, dict[str, Any]]:
+        """Return the cameras of the markers, each of which is a part."""
+        root = xml_root(path, _HINT)
+        try:
+            cameras = _labels(root, "camera")
+            names = dict.fromkeys(cameras.get(mark.camera, mark.camera) for mark in _marks(root))
+        except (KeyError, ValueError):
+            return {}  # said when the markers are read
+        return {name: {"image_name": name} for name in names} if len(names) > 1 else {}
 
 
 class _Mark(NamedTuple):

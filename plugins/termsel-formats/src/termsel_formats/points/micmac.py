@@ -84,6 +84,9 @@ class MicmacXml(Reader):
         if stated is None and root.find(".//OneAppuisDAF") is not None:
             return _ground_of(root, path)
         ground = _ground_file(path) if stated is None else Path(stated)
+        # A name alone is that of a file next to the measures.
+        if not ground.is_file() and path.with_name(ground.name).is_file():
+            ground = path.with_name(ground.name)
         if not ground.is_file():
             raise TermselError("the measures have image coordinates only", file=path,
                                hint="Name the file of their ground coordinates (Appuis), "

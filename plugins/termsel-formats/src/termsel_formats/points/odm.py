@@ -37,8 +37,7 @@ log = logging.getLogger("termsel.formats")
 
 _ODM_COLUMNS = ("geo_x", "geo_y", "geo_z", "im_x", "im_y", "image_name", "gcp_name")
 _MEANINGS = {"x": "geo_x", "y": "geo_y", "z": "geo_z", "sample": "im_x", "line": "im_y"}
-_CRS_LINE = re.compile(r"\s*#?\s*(EPSG\s*:|WGS\s*84|\+proj|\+init|PROJCR?S|GEOG|ESRI\s*:)",
-                       re.IGNORECASE)
+_CRS_LIKE = re.compile(r"\s*#?\s*(EPSG|WGS ?84|UTM|\+\w+=|\d{4,5}$)", re.IGNORECASE)
 _CHECK = "CHK-"
 """Beginning of the names of check points. Versions of OpenDroneMap that know it keep them out of
 the adjustment; others take them as control (github.com/WebODM/WebODM/issues/1824)."""
@@ -54,17 +53,16 @@ class OdmGcpList(Reader):
 
     def sniff(self, path: Path, head: bytes) -> bool:
         """Return True for a CRS and rows of five numbers and the name of an image."""
-        rows = [text.strip() for text in head.decode("utf-8-sig", errors="replace").splitlines()
-                if text.strip()]
+        rows = _lines(head.decode("utf-8-sig", errors="replace"))
         # The head may be cut within a row: the first of them is whole.
-        return len(rows) > 1 and _CRS_LINE.match(rows[0]) is not None \
-            and _is_mark(next((row for row in rows[1:] if not row.startswith("#")), "").split())
+        first_mark = next((i for i, (_, text) in enumerate(rows) if _is_mark(_cells(text))), 0)
+        return _crs_row(rows[:first_mark]) is not None
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points of one image; errors name file, line and column."""
         crs, marks = _marks(path)
         image = image_of(path, (cells[5] for _, cells in marks), self.options["image_name"],
-                         "image_name=NAME, or fit each with termsel compare --points FILE")
+                         "image_name=NAME")
         of_image = [(number, cells) for number, cells in marks if cells[5] == image]
         lines, rows = zip(*of_image, strict=True)
         columns = {}
@@ -89,21 +87,21 @@ class OdmGcpList(Reader):
 
 def _marks(path: Path) -> tuple[str, list[tuple[int, list[str]]]]:
     """Return the CRS, and number and cells of each line of a mark."""
-    rows = [(number, text.strip()) for number, text in enumerate(read_text(path).splitlines(), 1)
-            if text.strip()]
+    rows = _lines(read_text(path))
     if not rows:
         raise TermselError("the file is empty", file=path, hint=_HINT)
-    # The CRS stands first, with or without a #.
-    number, first = rows[0]
+    i = _crs_row(rows)
+    number, first = rows[i or 0]
     try:
         crs = normalise(first.removeprefix("#").strip())
     except TermselError as error:
         raise located(error, path, number) from error
-    marks = []
-    for number, text in rows[1:]:
-        if text.startswith("#"):
+    marks: list[tuple[int, list[str]]] = []
+    for number, text in rows[(i or 0) + 1:]:
+        cells = _cells(text)
+        # People put the names of the columns above the marks, as OpenDroneMap does not.
+        if text.startswith("#") or not (marks or any(map(is_number, cells))):
             continue
-        cells = text.split()
         if not _is_mark(cells):
             raise TermselError("this line is no mark of a point in an image", file=path,
                                line=number, hint=_HINT)
@@ -111,6 +109,34 @@ def _marks(path: Path) -> tuple[str, list[tuple[int, list[str]]]]:
     if not marks:
         raise TermselError("the file has no points", file=path, hint=_HINT)
     return crs, marks
+
+
+def _lines(text: str) -> list[tuple[int, str]]:
+    """Return number and text of the lines that are not blank."""
+    return [(number, line.strip()) for number, line in enumerate(text.splitlines(), 1)
+            if line.strip()]
+
+
+def _crs_row(rows: list[tuple[int, str]]) -> int | None:
+    """Return which of the lines is the CRS, with or without a #; comments may stand above it."""
+    for i, (_, text) in enumerate(rows):
+        try:
+            normalise(text.removeprefix("#").strip())
+        except TermselError:
+            # What looks like a CRS but is none is refused by name when the list is read.
+            if _CRS_LIKE.match(text):
+                return i
+            if not text.startswith("#"):
+                return None
+        else:
+            return i
+    return None
+
+
+def _cells(text: str) -> list[str]:
+    """Return the cells of a line; between tabs, names of images may have blanks."""
+    between_tabs = [cell.strip() for cell in text.split("\t")]
+    return between_tabs if len(between_tabs) > 5 else text.split()
 
 
 def _is_mark(cells: list[str]) -> bool:

@@ -31,6 +31,7 @@ _MEANING = {"ID": "id", "I": "id", "P": "sample", "L": "line", "X": "x", "Y": "y
 _ROLES = {"G": "control", "C": "check", "I": "off"}
 _USUAL_COLUMNS = {5: "ID P L X Y", 6: "ID P L X Y Z"}
 _COMMENT = ("#", ";", "!")
+_LARGEST_IMAGE = 200_000.0  # px along a side
 
 
 class PciGcp(Reader):
@@ -80,6 +81,12 @@ class PciGcp(Reader):
         table = Table(path, "", {name: name for name in columns}, columns, lines)
         # PCI counts from the corner of the first pixel.
         image = table.stack("line", "sample") - CORNER
+        if not self.options["layout"] and np.abs(image).max() > _LARGEST_IMAGE:
+            raise TermselError(f"the fields are taken as {' '.join(fields)}, and pixel and line "
+                               f"{image[0, 1]:.10g}, {image[0, 0]:.10g} are in no image",
+                               file=path, line=lines[0],
+                               hint="Name the fields in their order, such as --set "
+                                    "layout=IDXYZPL.")
         sigma = table.sigma("sigma_line", "sigma_sample") \
             if {"sigma_line", "sigma_sample"} <= set(columns) else None
         return FeatureSet(table.points(image, table.stack("x", "y", "z"), sigma, table.roles()),

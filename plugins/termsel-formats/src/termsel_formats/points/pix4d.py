@@ -14,7 +14,7 @@ from __future__ import annotations
 import csv
 import re
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from termsel.toolkit.files import (
     chosen_points,
     encoded,
     image_of,
+    is_number,
 )
 from termsel_formats.points.common import CORNER
 from termsel_formats.points.written import IMAGE, PointsWriter, image_name, say_points
@@ -36,9 +37,12 @@ from termsel_formats.points.written import IMAGE, PointsWriter, image_name, say_
 _MARK = re.compile(rb"\s*[^,\r\n]+\.(?:jpe?g|tiff?|png|dng|rjpg|raw)\s*,[^,\r\n]+,"
                    rb"\s*[-+.\d][^,\r\n]*,\s*[-+.\d][^,\r\n]*(?:,\s*[\d.][^,\r\n]*)?\s*$",
                    re.IGNORECASE)
+_HEADER = re.compile(rb"\s*(image|file|photo)\s*_?(name)?\s*,[^\d\r\n]*$", re.IGNORECASE)
+_LATITUDE = ("lat", "latitude", "y", "northing", "north")
 _LATITUDE_FIRST = Option(
-    "latitude_first", False, "Whether the second column of the ground file is a latitude, or a "
-                             "northing.", bool)
+    "latitude_first", None, "Whether the second column of the ground file is a latitude, or a "
+                            "northing; by default its header tells, and without one it is not.",
+    bool)
 
 
 class Pix4dMarks(Reader):
@@ -55,6 +59,8 @@ class Pix4dMarks(Reader):
         """Return True for lines that begin with the name of an image, a label and two numbers."""
         lines = [line for line in head.removeprefix(b"\xef\xbb\xbf").splitlines()[:20]
                  if line.strip()]
+        if lines and _HEADER.match(lines[0]):
+            lines = lines[1:]
         complete = lines[:-1] or lines  # the last one may be cut
         return bool(complete) and all(_MARK.match(line) for line in complete)
 
@@ -81,7 +87,10 @@ class Pix4dMarks(Reader):
             "id": [unguarded(row[1]) for row in cells], "sample": [row[2] for row in cells],
             "line": [row[3] for row in cells]}, lines)
         of_ground = [ground_rows[row[1]] for row in cells]
-        first, second = ("y", "x") if self.options["latitude_first"] else ("x", "y")
+        latitude_first = self.options["latitude_first"]
+        if latitude_first is None:
+            latitude_first = _names_latitude(ground_file)
+        first, second = ("y", "x") if latitude_first else ("x", "y")
         ground = Table(ground_file, "", {axis: axis for axis in "xyz"}, {
             first: [row[1] for _, row in of_ground], second: [row[2] for _, row in of_ground],
             "z": [row[3] if len(row) > 3 else "" for _, row in of_ground]},
@@ -89,9 +98,25 @@ class Pix4dMarks(Reader):
         return FeatureSet(table.points(table.stack("line", "sample") - CORNER,
                                        ground.stack("x", "y", "z"), None, ()), crs="")
 
+    def parts(self, path: Path) -> dict[str, dict[str, Any]]:
+        """Return the images of the marks, each of which is a part."""
+        images = dict.fromkeys(row[0] for _, row in _rows(path, (4, 5), "image,label,x,y"))
+        return {image: {"image_name": image} for image in images} if len(images) > 1 else {}
+
 
 def _ground_file(path: Path) -> Path:
     return path.with_name(f"{path.stem}_gcps.csv")
+
+
+def _is_header(cells: list[str]) -> bool:
+    """Return whether a row has names of columns: a row of marks or places has numbers."""
+    return not any(map(is_number, cells[1:]))
+
+
+def _names_latitude(path: Path) -> bool:
+    """Return whether a header of the ground file says that latitudes come first."""
+    cells = [cell.strip().lower() for cell in read_text(path).partition("\n")[0].split(",")]
+    return len(cells) > 1 and cells[1] in _LATITUDE
 
 
 def _rows(path: Path, widths: tuple[int, ...], form: str) -> list[tuple[int, list[str]]]:
@@ -100,7 +125,7 @@ def _rows(path: Path, widths: tuple[int, ...], form: str) -> list[tuple[int, lis
     try:
         for number, row in enumerate(csv.reader(read_text(path).splitlines()), 1):
             cells = [cell.strip() for cell in row]
-            if not any(cells):
+            if not any(cells) or (not rows and _is_header(cells)):
                 continue
             if len(cells) not in widths:
                 raise TermselError(f"a line has {len(cells)} cells", file=path, line=number,

@@ -1,0 +1,79 @@
+"""Points as a list of records in JSON, such as the control points of MapWarper's interface.
+
+The list is the file itself, or the longest list of objects in it; values may be one level deeper,
+in ``attributes`` as JSON:API has them. Names are as those of columns of tables.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, ClassVar
+
+from termsel.core.errors import TermselError
+from termsel.core.options import Option
+from termsel.data.tables.columns import parse_columns
+from termsel.formats.base import IMAGE_NAME, located, parse_json, read_text
+from termsel.formats.readers.cells import found_in, of_records
+from termsel.formats.readers.csv_tables import PointsCsv
+from termsel.formats.readers.table import Table
+from termsel.formats.readers.tables import COLUMNS, table_of
+
+_FLAT_OBJECT = re.compile(r"\{[^{}]*\}")
+_OF_OTHER_READERS = ('"Feature', '"gcpList"', '"Annotation')
+_FEWEST_NAMES = 3
+_HINT = "Give a list of objects, each with id, line, sample, x and y."
+
+
+class PointsJson(PointsCsv):
+    """Points as a list of objects in JSON, with names as of the columns of a table."""
+
+    name = "points-json"
+    summary = "points as a list of JSON objects with line, sample, x, y; also of MapWarper"
+    declared_options: ClassVar[tuple[Option, ...]] = (IMAGE_NAME, *COLUMNS[:2])
+
+    def sniff(self, path: Path, head: bytes) -> bool:
+        """Return True for JSON with an object that names three numbers of a point."""
+        text = head.decode("utf-8-sig", "replace").lstrip()
+        if text[:1] not in ("{", "[") or any(name in text for name in _OF_OTHER_READERS):
+            return False
+        first = _FLAT_OBJECT.search(text)
+        try:
+            record = json.loads(first[0]) if first else {}
+        except ValueError:
+            return False
+        stated = parse_columns(self.options.get("columns", ""))
+        return found_in(list(record), self.aliases, stated) >= _FEWEST_NAMES
+
+    def table(self, path: Path) -> Table:
+        """Return the values of the objects by their meaning."""
+        try:
+            tree = parse_json(read_text(path), _HINT)
+        except TermselError as error:
+            raise located(error, path) from error
+        records = max(_lists(tree), key=len, default=[])
+        if not records:
+            raise TermselError("this JSON has no list of objects", file=path, hint=_HINT)
+        cells = of_records([_flat(record) for record in records], "object", {})
+        stated = parse_columns(self.options.get("columns", ""))
+        return table_of(path, cells, self.aliases, stated, self.options.get("decimal"), flat=True)
+
+    def parts(self, path: Path) -> dict[str, dict[str, Any]]:
+        """Return no parts: a list of objects is of one image."""
+        return {}
+
+
+def _lists(tree: object) -> Iterator[list[Mapping[str, Any]]]:
+    """Yield the lists of objects in JSON, at the top or in the objects there."""
+    values = tree.values() if isinstance(tree, dict) else [tree]
+    for value in values:
+        if isinstance(value, list) and value and all(isinstance(item, dict) for item in value):
+            yield value
+
+
+def _flat(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Return an object with the values of its attributes as its own."""
+    attributes = record.get("attributes")
+    return {**record, **attributes} if isinstance(attributes, dict) else dict(record)
