@@ -28,7 +28,9 @@ TABLE = "id,line,sample,x,y\nP1,10,20,5000,6000\nP2,900,40,5050,1000\nP3,40,800,
     ("http://www.opengis.net/def/crs/EPSG/0/32633", "EPSG:32633"),
     ("http://www.opengis.net/gml/srs/epsg.xml#32633", "EPSG:32633"),
     ("ETRS89 UTM 33N", "EPSG:25833"), ("NAD27 / UTM 10 N", "EPSG:26710"),
-    ("SIRGAS 2000 UTM 23S", "EPSG:31983")])
+    ("SIRGAS 2000 UTM 23S", "EPSG:31983"), ("EPSG: 32633", "EPSG:32633"),
+    # Former names, which old programs and projects keep.
+    ("OSGB 1936 / British National Grid", "EPSG:27700"), ("RGF93 / Lambert-93", "EPSG:2154")])
 def test_names_of_a_crs(given: str, code: str, tmp_path: Path) -> None:
     degrees = code in ("EPSG:4326", "EPSG:4258")
     (tmp_path / "a.csv").write_text(
@@ -63,6 +65,7 @@ def test_a_projection_without_a_code_in_every_form(tmp_path: Path) -> None:
     (tmp_path / "c.csv").write_text(f"# crs: {BONNE}\n{TABLE}")
     read = [termsel.read(tmp_path / "a.csv", crs=BONNE),
             termsel.read(tmp_path / "a.csv", crs=str(tmp_path / "bonne.wkt")),
+            termsel.read(tmp_path / "a.csv", crs=pyproj.CRS(BONNE).to_wkt()),
             termsel.read(tmp_path / "b.csv"), termsel.read(tmp_path / "c.csv")]
     for features in read:
         operation = pyproj.CRS(features.crs).coordinate_operation

@@ -7,6 +7,7 @@ with ids, flags and constants. The true reading is always among those shown.
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -96,6 +97,71 @@ def test_a_title_is_no_row_and_a_repeated_text_no_id(tmp_path: Path) -> None:
         assert len(termsel.read(path, crs="local", columns=guess).points) == N
 
 
+SCORES = np.round(_rng.uniform(0.2, 1.0, N), 4)
+RESIDUALS = np.round(_rng.normal(0.0, 1.0, (2, N)), 3)
+HEADED = {
+    # Names of the ground and of the image beside plain x and y, in many tongues and manners.
+    "X,Y,E,N": ("sample line x y", True), "lat,lng,x,y": ("y x sample line", True),
+    "name,X,Y,Z,x,y": ("count x y z sample line", False), "x,y,x,y": ("sample line x y", False),
+    "x,y,x.1,y.1": ("sample line x y", False), "x,y,map x,map y": ("sample line x y", False),
+    "Long,Lat,Col,Lin": ("x y sample line", True), "u,v,X,Y": ("sample line x y", False),
+    "A,B,C,D": ("sample line x y", False), ",0,1,2,3": ("count sample line x y", False),
+    "0,1,2,3": ("sample line x y", False), "a,b,c,d,score": ("sample line x y score", False),
+    "a,b,score,c,d": ("x y score sample line", False),
+    "h,east,north,c1,c2": ("z x y sample line", False),
+    "p,q,r,s,dx,dy": ("sample line x y dx dy", False)}
+"""Headers with the columns below them, and whether they tell all of these."""
+
+
+@pytest.mark.parametrize("header", HEADED)
+def test_misleading_headers_never_give_a_wrong_reading_in_silence(header: str,
+                                                                  tmp_path: Path) -> None:
+    order, is_told = HEADED[header]
+    known = COLUMNS | METRES | {"score": SCORES, "dx": RESIDUALS[0], "dy": RESIDUALS[1]}
+    names = order.split()
+    rows = zip(*(known[name].tolist() for name in names), strict=True)
+    path = tmp_path / "table.csv"
+    path.write_text("\n".join([header, *(",".join(map(repr, row)) for row in rows)]))
+    crs = "local" if "lat" in header.lower() else "EPSG:32619"
+    if is_told:
+        readings = [termsel.read(path, crs=crs)]
+    else:
+        with pytest.raises(TermselError) as caught:
+            termsel.read(path, crs=crs)
+        # All that is shown can be read, or nothing was found.
+        readings = [termsel.read(path, crs=crs, columns=guess) for guess in caught.value.guesses]
+        assert readings
+    right = []
+    for features in readings:
+        points = features.points
+        right.append(points.image.tolist() == np.column_stack([LINE, SAMPLE]).tolist()
+                     and points.ground[:, :2].tolist() == np.column_stack(
+                         [METRES["x"], METRES["y"]]).tolist())
+        assert np.isnan(points.ground[:, 2]).all() or (points.ground[:, 2] == COLUMNS["z"]).all()
+    assert right[0] or (header == "u,v,X,Y" and any(right))
+
+
+def test_lines_upwards_are_part_of_the_command(tmp_path: Path, call: Callable[..., Any]) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("id,a,b,c,d\n" + "".join(f"G{i},{sample},{-line},{x},{y}\n" for i, (
+        sample, line, x, y) in enumerate(zip(SAMPLE, LINE, METRES["x"], METRES["y"],
+                                             strict=True))))
+    shown = call("run", "--points", path, "--crs", "EPSG:32619").stderr
+    command = shown.partition("A guess, to check: termsel ")[2]
+    assert "--set image_origin=y-up" in command
+    done = call(*shlex.split(command), "--quiet")
+    assert done.exit_code == 0, done.stderr
+
+
+def test_no_guess_puts_map_coordinates_into_an_image(tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    path.write_text("".join(f"{sample} {x} {line} {y}\n" for sample, line, x, y in zip(
+        SAMPLE, LINE, METRES["x"], METRES["y"], strict=True)))
+    with pytest.raises(TermselError, match="Put the column for each") as caught:
+        termsel.read(path, crs="EPSG:32619")
+    assert not caught.value.guesses
+
+
 RECORDS = [{"id": 9, "map_id": 4, "x": 1145, "y": 825, "lat": "53.38", "lon": "-2.90"},
            {"id": 10, "map_id": 4, "x": 1028, "y": 857, "lat": "53.39", "lon": "-2.91"}]
 
@@ -114,8 +180,8 @@ def test_lists_of_mapwarper_in_json_are_read(tree: object, tmp_path: Path) -> No
 def test_the_command_line_shows_all_guesses(tmp_path: Path, call: Callable[..., Any]) -> None:
     path = tmp_path / "a.txt"
     path.write_text("".join(f"{sample} {line} {x} {y}\n" for sample, line, x, y in zip(
-        SAMPLE, LINE, METRES["x"], METRES["y"], strict=True)))
-    shown = call("run", "--points", path, "--crs", "EPSG:32619").stderr
+        SAMPLE, LINE, DEGREES["x"], DEGREES["y"], strict=True)))
+    shown = call("run", "--points", path, "--crs", "EPSG:4326").stderr
     assert "Ready to run" not in shown
     assert "Guess 1 of 2, to check: termsel run" in shown
     assert "Guess 2 of 2, to check: termsel run" in shown

@@ -409,7 +409,8 @@ NESTED = {
     "metas.json": json.dumps({"a.tif": {"rpc": named_numbers(some_rpc(), VISSAT)}}),
     "gdal.json": json.dumps(rpc_items(some_rpc())),
     "rpc_param.yaml": orthority("qb2_basic1b.tif"),
-    "unknown_errors.yaml": orthority("a.tif").replace("    rpc:\n", "    rpc:\n        err_bias: null\n"),
+    "unknown_errors.yaml": orthority("a.tif").replace(
+        "    rpc:\n", "    rpc:\n        err_bias: null\n"),
     "unknown_errors.json": json.dumps({**rpc_items(some_rpc()), "ERR_BIAS": None}),
     "items_a_line.yaml": re.sub(r"\[([^\]]{100,})\]", lambda values: "".join(
         f"\n        - {value.strip()}" for value in values[1].split(",")), orthority("a.tif"))}

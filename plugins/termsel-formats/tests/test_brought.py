@@ -160,7 +160,7 @@ def test_names_of_images_may_have_blanks_between_tabs(tmp_path: Path) -> None:
 @pytest.mark.parametrize("header", ["32633", "WGS84 UTM 33"])
 def test_a_list_with_half_a_crs_is_asked_for_the_other(header: str, tmp_path: Path) -> None:
     (tmp_path / "gcp_list.txt").write_text(odm(header))
-    with pytest.raises(TermselError, match="line 1: unknown CRS.*Did you mean EPSG:32633"):
+    with pytest.raises(TermselError, match=r"line 1: unknown CRS.*Did you mean EPSG:32633"):
         termsel.read(tmp_path / "gcp_list.txt")
 
 
@@ -292,7 +292,7 @@ def test_images_of_each_format_are_parts_of_a_study(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("a.jpg,P1,1,2\na.jpg,P2,3,4\nb.jpg,P1,5,6\n")
     (tmp_path / "a_gcps.csv").write_text("P1,1,2,3\nP2,4,5,6\n")
     assert list(Pix4dMarks().parts(tmp_path / "a.csv")) == ["a.jpg", "b.jpg"]
-    with pytest.raises(TermselError, match="a.jpg, b.jpg.*termsel compare --points FILE"):
+    with pytest.raises(TermselError, match=r"a\.jpg, b\.jpg.*termsel compare --points FILE"):
         termsel.read(tmp_path / "a.csv", crs="local")
 
 

@@ -192,13 +192,16 @@ def _suggested(words: Sequence[str], error: TermselError) -> Iterator[str]:
     guesses = error.guesses or [error.options.get("--columns", "")]
     for number, columns in enumerate(guesses, 1):
         options = {**error.options, "--columns": columns} if columns else error.options
-        typed = shlex.join([*_without(words, options), *chain.from_iterable(options.items())])
+        # --set may stand several times, each with an option of its own.
+        replaced = {name: value for name, value in options.items() if name != "--set"}
+        typed = shlex.join([*_without(words, replaced), *chain.from_iterable(options.items())])
         if not options or not is_printable(typed):  # what is shown otherwise cannot be pasted
             continue
         # A question mark is for the user to fill in: such a command cannot run as it is.
         asks = "?" in "".join(options.values())
         verb = "Complete and run" if asks else "Ready to run" if not error.guesses else \
-            f"Guess {number} of {len(guesses)}, to check"
+            f"Guess {number} of {len(guesses)}, to check" if len(guesses) > 1 else \
+            "A guess, to check"
         yield f"{verb}: termsel {typed}"
 
 

@@ -43,6 +43,8 @@ class TermselError(Exception):
     guesses : list of str
         Values of the option ``--columns`` that all fit, the one in `options` first, where nothing
         tells which of them is right.
+    first_points : list of str
+        The first point as each of these reads it, in words.
 
     Examples
     --------
@@ -75,6 +77,7 @@ class TermselError(Exception):
         self.name = name
         self.options: dict[str, str] = {}
         self.guesses: list[str] = []
+        self.first_points: list[str] = []
 
     def __str__(self) -> str:
         """Return the message as it can be shown: printable, and long cells without their middle."""

@@ -28,8 +28,10 @@ def stated_crs(stated: str | None) -> str | None:
     # A user alone states a CRS so; a CRS within a file never names another file.
     path = Path(stated.strip())
     # A name that is a file is one; all else, such as "EPSG:25832", is a CRS.
-    is_file = len(stated) < 1000 and "\n" not in stated and bool(path.suffix) and is_there(path) \
-        and path.is_file()
+    # WKT is longer than any name of a file may be.
+    may_be_file = max(len(part.encode(errors="replace")) for part in path.parts or ("",)) < 256 \
+        and "\n" not in stated and bool(path.suffix)
+    is_file = may_be_file and is_there(path) and path.is_file()
     return _crs_of_file(path) if is_file else normalise(stated)
 
 

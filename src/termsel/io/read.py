@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from difflib import get_close_matches
 from functools import partial
@@ -18,7 +18,7 @@ from termsel.core.files.names import is_there
 from termsel.core.isolation.faults import PluginFault, is_own, name_of
 from termsel.core.isolation.parts import missing, parts
 from termsel.core.options import Option
-from termsel.data.coordinates.crs import normalise
+from termsel.data.coordinates.crs import LOCAL, normalise
 from termsel.data.coordinates.earth import say_turned, unknown_crs
 from termsel.data.coordinates.mixed import note_on_mixed
 from termsel.data.coordinates.plausible import check_ground
@@ -30,11 +30,16 @@ from termsel.formats.crs_files import crs_next_to, say_other_crs, stated_crs
 from termsel.formats.heights import with_heights
 from termsel.formats.image_origin import (
     IMAGE_ORIGIN,
+    UP,
     image_size_of,
     require_inside,
     with_image_origin,
 )
-from termsel.formats.readers.advice import EXPECTED, unknown_table
+from termsel.formats.readers.advice import (
+    EXPECTED,
+    only_those_that_can_be_read,
+    unknown_table,
+)
 from termsel.formats.repeated import REPEATED, averaging
 from termsel.formats.rpc_files import has_rpc, size_with_rpc, with_rpc
 from termsel.formats.z_unit import Z_UNIT, with_z_unit
@@ -410,29 +415,58 @@ def read_features(points: Path | None, lines: Path | None, *, areas: Path | None
     is not known or stated twice and differently; if coordinates cannot be in it; if features of two
     kinds have one id.
     """
+    read_with = partial(_features_of_files, points, lines, areas=areas, readers=list(readers),
+                        formats=formats, either=either, origin=origin)
     try:
-        return _features_of_files(points, lines, areas=areas, crs=crs, readers=list(readers),
-                                  formats=formats, options=options or {}, either=either,
-                                  origin=origin)
+        return read_with(crs=crs, options=options or {})
     except TermselError as error:
+        if error.guesses:
+            turned = partial(read_with, origin=partial(with_image_origin, choice=UP, size=None)) \
+                if "--set" in error.options else read_with
+            error = only_those_that_can_be_read(error, partial(
+                _can_be_read, turned, crs, options or {}))
         columns = error.options.get("--columns", "?")
         # A message proposes all that is still missing. Where the same columns were given already,
         # or some are not known, nothing else would be asked next.
         if crs is None and "?" not in columns and columns != (options or {}).get("columns"):
-            next_options = _asked_next(points, lines, areas=areas, readers=list(readers),
-                                       formats=formats, either=either, origin=origin,
-                                       options={**(options or {}), "columns": columns})
+            next_options = _asked_next(read_with, {**(options or {}), "columns": columns})
             error.options = {**next_options, **error.options}
         raise
 
 
-def _asked_next(points: Path | None, lines: Path | None, **arguments: Any) -> dict[str, str]:
-    """Return the options that would be asked for next, given those of `_features_of_files`."""
+def _asked_next(read_with: Callable[..., FeatureSet], options: Mapping[str, Any]) -> dict[str, str]:
+    """Return the options that would be asked for next, given some."""
     try:
-        _features_of_files(points, lines, crs=None, **arguments)
+        with _silence():
+            read_with(crs=None, options=options)
     except TermselError as error:
         return error.options
     return {}
+
+
+def _can_be_read(read_with: Callable[..., FeatureSet], crs: str | None,
+                 options: Mapping[str, Any], columns: str) -> bool:
+    """Return whether files can be read with columns; without a CRS, in some plane."""
+    for stated in (crs,) if crs is not None else (None, LOCAL):
+        try:
+            with _silence():
+                read_with(crs=stated, options={**options, "columns": columns})
+        except TermselError:
+            continue
+        return True
+    return False
+
+
+@contextmanager
+def _silence() -> Iterator[None]:
+    """Log nothing: what is only tried out is not what is read."""
+    logger = logging.getLogger("termsel")
+    level = logger.level
+    logger.setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        logger.setLevel(level)
 
 
 def _features_of_files(points: Path | None, lines: Path | None, *, areas: Path | None,

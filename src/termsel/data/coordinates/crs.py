@@ -8,10 +8,13 @@ the authority gives.
 from __future__ import annotations
 
 import logging
+import os
 import re
 from collections.abc import Callable
+from contextlib import closing
 from functools import lru_cache
 from itertools import chain
+from pathlib import Path
 from typing import TYPE_CHECKING
 from warnings import catch_warnings, simplefilter
 
@@ -39,6 +42,7 @@ Transformation = Callable[[FloatArray], FloatArray]
 _GRIDS = 3  # that an error names
 _OF_EARTH = 0.01  # share by which ellipsoids of the Earth differ at most
 _QUOTED_NAME = re.compile(r'\w+\s*\[\s*"([^"]{1,80})"')
+_UNKNOWN_DATUM = re.compile(r"(D_)?(unknown|not[ _]specified)", re.IGNORECASE)
 _BODY = re.compile(r"(?:GCS_|D_)?([A-Za-z]+)")
 
 _CODE = re.compile(r"(?:urn:ogc:def:crs:)?(EPSG|OGC):(?:[\d.]*:)?\s*(\w+)", re.IGNORECASE)
@@ -190,8 +194,27 @@ def _of_listed_name(text: str) -> str:
     # PROJ takes a name that is near one for it: only the whole name counts.
     names = [known.name, esri[1] if esri else ""]
     if _letters(text) not in map(_letters, names):
-        return ""
+        return _of_former_name(text)
     return normalise(_as_listed(str(known.to_wkt())))
+
+
+def _of_former_name(text: str) -> str:
+    """Return the EPSG code of another name of a CRS, such as a former one, "" for others."""
+    import sqlite3
+
+    from pyproj.datadir import get_data_dir
+
+    # Programs keep names that EPSG has since changed: OSGB 1936 is OSGB36 now.
+    database = Path(get_data_dir().split(os.pathsep)[0], "proj.db")
+    try:
+        with closing(sqlite3.connect(f"{database.as_uri()}?mode=ro", uri=True)) as names:
+            rows = names.execute(
+                "SELECT code FROM alias_name WHERE lower(alt_name) = lower(?) AND auth_name = "
+                "'EPSG' AND table_name IN ('projected_crs', 'geodetic_crs')", (text,)).fetchall()
+    except (sqlite3.Error, ValueError):
+        return ""  # PROJ may have its database inside itself
+    codes = {code for (code,) in rows}
+    return normalise(f"EPSG:{codes.pop()}") if len(codes) == 1 else ""
 
 
 def _letters(name: str) -> str:
@@ -262,9 +285,9 @@ def transformation(source: str, target: str, *, strict: bool = True,
     """Return a function that transforms ground coordinates (n, 3) from one CRS to another.
 
     If a CRS has no vertical datum, heights are taken as ellipsoidal, unknown ones as 0. Coordinates
-    that cannot be transformed are an error if `strict`, else they become infinite. For a fit alone
-    a CRS on an ellipsoid without a datum, as old maps have, is taken to be of the other's datum:
-    the model takes up what a shift between datums does. Raises
+    that cannot be transformed are an error if `strict`, else they become infinite. A CRS on an
+    ellipsoid without a datum, as old maps have, is taken to be of the other's datum; a note says
+    so, but not for a fit, whose model takes up what a shift between datums does. Raises
     TermselError for "local"; if pyproj, which is needed for all but WGS84 itself, is not installed
     or cannot transform the CRS.
     """
@@ -292,10 +315,14 @@ def transformation(source: str, target: str, *, strict: bool = True,
                                 "gcp-grid-vrt and geolocation-vrt keep the CRS.")
     # A CRS without heights gets ellipsoidal ones, so that the shift between datums applies to them.
     ends = [crs if len(crs.axis_info) > 2 else crs.to_3d() for crs in parsed if crs is not None]
+    # Ballpark transformations would leave heights, or datums, as they are, without a word.
+    without_datum = next((name for name, crs in zip((source, target), parsed, strict=True)
+                          if crs is not None and _has_no_datum(crs)), "")
     try:
-        # Ballpark transformations would leave heights, or datums, as they are, without a word.
-        turn = Transformer.from_crs(*ends, always_xy=True,
-                                    allow_ballpark=for_fit and any(map(_has_no_datum, ends)))
+        turn = Transformer.from_crs(*ends, always_xy=True, allow_ballpark=bool(without_datum))
+        # For a fit the model takes up what a shift between datums does.
+        if without_datum and not for_fit:
+            _say_no_datum(without_datum)
     except ProjError as error:
         grids = _missing_grids(*ends)
         if not grids:
@@ -320,9 +347,17 @@ def transformation(source: str, target: str, *, strict: bool = True,
 
 
 def _has_no_datum(crs: CRS) -> bool:
-    """Return whether a parsed CRS states an ellipsoid alone."""
-    # PROJ names the datum of such a CRS "Unknown based on Clarke 1880 ellipsoid".
-    return crs.datum is not None and crs.datum.name.lower().startswith("unknown")
+    """Return whether a CRS states an ellipsoid alone, as strings of PROJ of old maps do."""
+    datum = "" if crs.is_bound or crs.geodetic_crs is None else str(crs.geodetic_crs.datum.name)
+    return _UNKNOWN_DATUM.match(datum) is not None
+
+
+@lru_cache
+def _say_no_datum(name: str) -> None:
+    """Say once that a datum is taken for another."""
+    log.warning("Note: the CRS %s has an ellipsoid and no datum. Its longitudes and latitudes are "
+                "taken as those of WGS84 where these are needed; they may be some hundred metres "
+                "off.", short(name))
 
 
 EARTH = "the Earth"

@@ -48,8 +48,8 @@ _FURTHER = {meaning: frozenset(names.split()) for meaning, names in {
           "gcpname gcplabel label nr no num number pkt pktnr punkt punktid punktnr punktnummer "
           "punktname passpunkt nummer numer numero nom nombre punto idpunto nome ponto punt "
           "puntnummer nazwa naam 点 点号 点名 编号 序号 名称 id号",
-    "line": "lines rows ypix ypixel pixely py imgy imagey yimg yimage lineno zeile bildzeile bildy "
-            "ligne rangee fila linea riga linha wiersz rij regel 行 行号 行数 行坐标",
+    "line": "lin lines rows ypix ypixel pixely py imgy imagey yimg yimage lineno zeile bildzeile "
+            "bildy ligne rangee fila linea riga linha wiersz rij regel 行 行号 行数 行坐标",
     "sample": "samples samp cols columns xpix xpixel pixelx pix px imgx imagex ximg ximage spalte "
               "bildspalte bildx colonne columna muestra colonna campione coluna kolumna kolom "
               "列 列号 列数 列坐标",
@@ -107,15 +107,16 @@ def matches(header: Sequence[str], aliases: Aliases) -> dict[str, list[int]]:
     forms = {i: pair for i, pair in enumerate(map(_forms, header))
              if not all_names.isdisjoint(pair)}
     columns: dict[str, list[int]] = {}
+    all_columns: dict[str, list[int]] = {}
     for meaning, (plain_names, further_names) in names_of.items():
+        plain, further = ([i for i, (full, bare) in forms.items()
+                           if full in names or (bare in names and full not in all_names)]
+                          for names in (plain_names, further_names))
         # Names in other languages count where no column has one of the plain names.
-        for names in (plain_names, further_names):
-            columns[meaning] = [i for i, (full, bare) in forms.items()
-                                if full in names or (bare in names and full not in all_names)]
-            if columns[meaning]:
-                break
+        columns[meaning] = plain or further
+        all_columns[meaning] = [*plain, *(i for i in further if i not in plain)]
     if {"line", "sample", "x", "y"} <= columns.keys():
-        columns |= _pixels_next_to_degrees(header, columns)
+        columns |= _pixels_next_to_degrees(header, all_columns)
     if columns.get("y") and not columns.get("x"):  # n numbers points, unless e is next to it
         columns["y"] = [i for i in columns["y"] if forms[i][0] != "n"]
     return columns

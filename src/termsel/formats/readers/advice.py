@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,7 @@ from termsel.data.coordinates.crs import short
 from termsel.data.features import FloatArray
 from termsel.data.tables.columns import POINTS, Aliases, declared, matches, parse_columns
 from termsel.data.tables.numbers import COMMA, POINT, BadCell, decimal_signs, read_numbers
-from termsel.formats.readers.cells import WIDEST, BadText, read_cells
+from termsel.formats.readers.cells import WIDEST, BadText, counts_columns, read_cells
 
 EXPECTED = ("Give a table headed id,role,line,sample,x,y,z, or another format of "
             "termsel list readers.")
@@ -22,6 +22,9 @@ _ROWS = 200
 _BELONGS = 0.9
 """Share of a column's variance that ground explains of an image, or an image of its ground."""
 
+_LARGEST_IMAGE = 200_000.0  # px along a side
+_REQUIRED = {"line", "sample", "x", "y"}
+_DECLARE = " Declare the columns: --columns"
 _SPREADSHEETS = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
 
 
@@ -36,9 +39,73 @@ def with_advice(error: TermselError, header: Sequence[str], rows: Sequence[Seque
     # Readings are of points: a table of lines has too many ways.
     if "line" not in aliases or "x" not in aliases:
         return error
-    return _with_readings(error, header, rows, [
-        {**reading, **known_columns} for reading in _readings(rows, len(header), known_columns)],
-        known_columns, aliases, fixed)
+    readings = []
+    for meanings in _ways_to_take_names(header, known_columns):
+        for reading in _readings(rows, len(header), meanings):
+            readings.append({**reading, **meanings})
+    numbers = _numbers([row for row in rows[:_ROWS] if len(row) == len(header)])
+    in_image = [reading for reading in readings if _is_in_an_image(numbers, reading)]
+    complete = [reading for reading in in_image if reading.keys() >= _REQUIRED]
+    if complete and all(_counts_upwards(numbers[reading["line"]]) for reading in complete):
+        error.options["--set"] = "image_origin=y-up"
+        error.hint = f"{error.hint or ''} Its lines count upwards: --set image_origin=y-up."
+    if any(_are_two_images(numbers, reading) for reading in complete):
+        error.hint = (f"{error.hint or ''} If both pairs are pixels, the second those of a "
+                      "georeferenced image, head them x1,y1,x2,y2.")
+    return _with_readings(error, header, rows, complete or in_image or [dict(known_columns)],
+                          known_columns, aliases, fixed)
+
+
+def _ways_to_take_names(header: Sequence[str], known_columns: Mapping[str, int],
+                        ) -> list[dict[str, int]]:
+    """Return the columns that are known by their names, and with x and y as those of the image.
+
+    Tables of viewers call columns and rows x and y; so these are on the ground only for sure where
+    columns of the image have names of their own.
+    """
+    ways = [dict(known_columns)]
+    are_plain = all(axis in known_columns and header[known_columns[axis]].strip().casefold() == axis
+                    for axis in ("x", "y"))
+    if are_plain and not {"line", "sample"} & known_columns.keys():
+        others = {name: i for name, i in known_columns.items() if name not in ("x", "y")}
+        ways.append({**others, "sample": known_columns["x"], "line": known_columns["y"]})
+    return ways
+
+
+def _is_in_an_image(numbers: Mapping[int, FloatArray], reading: Mapping[str, int]) -> bool:
+    """Return whether the columns of the image hold no numbers that are beyond any image."""
+    columns = {name: numbers[reading[name]] for name in ("line", "sample")
+               if reading.get(name) in numbers}
+    # Lines alone may count upwards, and then are negative.
+    if "sample" in columns and np.nanmax(columns["sample"]) < 0.0:
+        return False
+    return all(np.nanmax(np.abs(column)) <= _LARGEST_IMAGE for column in columns.values())
+
+
+def _counts_upwards(lines: FloatArray) -> bool:
+    """Return whether lines are at most 0, as those of programs whose y points upwards."""
+    return bool(np.nanmax(lines) <= 0.0 and np.nanmin(lines) < 0.0)
+
+
+def _are_two_images(numbers: Mapping[int, FloatArray], reading: Mapping[str, int]) -> bool:
+    """Return whether the ground coordinates of a reading may be pixels, too."""
+    x, y = numbers[reading["x"]], numbers[reading["y"]]
+    return not _is_ground(numbers, (reading["x"], reading["y"])) \
+        and min(np.nanmin(x), np.nanmin(y)) >= 0.0
+
+
+def only_those_that_can_be_read(error: TermselError,
+                                can_be_read: Callable[[str], bool]) -> TermselError:
+    """Return an error of guesses without those with which the file cannot be read.
+
+    All stay where none can, as something else may be wrong.
+    """
+    kept = [i for i, columns in enumerate(error.guesses) if can_be_read(columns)]
+    if 0 < len(kept) < len(error.guesses):
+        before = (error.hint or "").partition(_DECLARE)[0]
+        _guess(error, before, [error.guesses[i] for i in kept],
+               [error.first_points[i] for i in kept])
+    return error
 
 
 def with_both_readings(error: TermselError, header: Sequence[str], rows: Sequence[Sequence[str]],
@@ -62,31 +129,41 @@ def _with_readings(error: TermselError, header: Sequence[str], rows: Sequence[Se
                    aliases: Aliases, fixed: Collection[int]) -> TermselError:
     """Return an error with readings as texts of --columns; what is not known are guesses."""
     texts = [_columns_option(reading, header, aliases, fixed) for reading in readings]
-    error.options["--columns"] = texts[0]
-    error.hint = f"{error.hint or ''} Declare the columns: --columns {texts[0]!r}."
+    before = error.hint or ""
     # No reading has all columns; a point read so could not be shown.
     if "=?" in texts[0]:
-        error.hint += " Put the column for each ?."
+        error.options["--columns"] = texts[0]
+        error.hint = f"{before}{_DECLARE} {texts[0]!r}. Put the column for each ?."
     elif readings[0].keys() - known_columns:
-        error.guesses = texts
         first = next((row for row in rows if len(row) == len(header)), ())
-        first_point = "; or ".join(_read_so(first, reading) for reading in readings)
-        error.hint += (" This mapping is a guess; check it. The first point would be "
-                       f"{first_point}.")
+        _guess(error, before, texts, [_read_so(first, reading) for reading in readings])
+    else:
+        error.options["--columns"] = texts[0]
+        error.hint = f"{before}{_DECLARE} {texts[0]!r}."
     return error
+
+
+def _guess(error: TermselError, before: str, guesses: list[str], first_points: list[str]) -> None:
+    """Put guesses into an error, after the hint that it had before."""
+    error.guesses = guesses
+    error.first_points = first_points
+    error.options["--columns"] = guesses[0]
+    error.hint = (f"{before}{_DECLARE} {guesses[0]!r}. This mapping is a guess; check it. The "
+                  f"first point would be {'; or '.join(first_points)}.")
 
 
 def _columns_option(columns: Mapping[str, int], header: Sequence[str], aliases: Aliases,
                     fixed: Collection[int]) -> str:
     """Return the text of --columns for a reading, with ? for what is required and not known."""
     names = [name.strip() for name in header]
+    folded_names = [name.casefold() for name in names]
     pairs = []
     for meaning in aliases:
         i = columns.get(meaning)
         if i is not None and i not in fixed:
             # A number where a name would be ambiguous, or end the list.
-            is_unambiguous = names.count(names[i]) == 1 and names[i] and "," not in names[i] \
-                and not names[i].isdecimal()
+            is_unambiguous = folded_names.count(folded_names[i]) == 1 and names[i] \
+                and "," not in names[i] and not names[i].isdecimal()
             pairs.append(f"{meaning}={names[i] if is_unambiguous else i + 1}")
         elif i is None and meaning in ("line", "sample", "x", "y"):
             pairs.append(f"{meaning}=?")
@@ -108,9 +185,11 @@ def unknown_table(path: Path, expected: str, columns: str) -> TermselError | Non
     except TermselError as error:
         is_table = isinstance(error, BadText) or path.suffix.lower() in _SPREADSHEETS
         return error if is_table else None
-    rows = [row for row in cells.rows[:_ROWS] if len(row) == len(cells.rows[-1]) <= WIDEST]
+    rows = [row for row in cells.rows[:_ROWS] if len(row) == len(cells.rows[-1]) <= WIDEST
+            and not counts_columns(row)]
     values = _numbers(rows[1:])
-    if len(rows) >= 2 and rows[0] and (missing := _missing_ground(path, rows[0], expected)):
+    if len(rows) >= 2 and rows[0] and (
+            missing := _missing_pair(path, rows[0], list(values), expected)):
         return missing
     if len(rows) < 3 or len(values) < 4:
         return None if path.suffix.lower() not in _SPREADSHEETS else TermselError(
@@ -130,9 +209,15 @@ def unknown_table(path: Path, expected: str, columns: str) -> TermselError | Non
                        {**by_name, **declared(header, stated)}, POINTS)
 
 
-def _missing_ground(path: Path, header: Sequence[str], expected: str) -> TermselError | None:
-    """Return the error for a table that has image coordinates or ground coordinates alone."""
+def _missing_pair(path: Path, header: Sequence[str], numeric: Sequence[int],
+                  expected: str) -> TermselError | None:
+    """Return the error for a table that has image coordinates or ground coordinates alone.
+
+    Where two further columns hold numbers, these may be the other pair under names not known.
+    """
     by_name = matches(header, POINTS)
+    if len(set(numeric) - {i for columns in by_name.values() for i in columns}) >= 2:
+        return None
     pairs = {"image": ("line", "sample"), "ground": ("x", "y")}
     absent = {pair: [name for name in names if not by_name[name]] for pair, names in pairs.items()}
     for present, other in (("image", "ground"), ("ground", "image")):
@@ -180,8 +265,8 @@ def _readings(rows: Sequence[Sequence[str]], width: int,
     extra = _id_and_flags(rows, numbers, known_columns)
     # A constant column is no coordinate.
     taken_columns = extra.values()
-    values = {i: column for i, column in numbers.items()
-              if i not in taken_columns and np.nanmin(column) < np.nanmax(column)}
+    values = _without_scores({i: column for i, column in numbers.items() if i not in taken_columns
+                              and np.nanmin(column) < np.nanmax(column)})
     coordinates = known_columns.keys() & {"line", "sample", "x", "y", "z"}
     if not coordinates and len(values) in (4, 5):
         return [extra | reading for reading in _of_pairs(values)]
@@ -189,10 +274,28 @@ def _readings(rows: Sequence[Sequence[str]], width: int,
     if of_pair:
         return [extra | reading for reading in of_pair]
     missing = [name for name in ("x", "y", "z", "sample", "line") if name not in known_columns]
-    # More columns than meanings: any assignment would be a guess at random.
-    if len(values) != len(missing):
-        return [extra]
-    return [extra | reading for reading in _of_missing(missing, list(values))]
+    for names in (missing, [name for name in missing if name != "z"]):
+        # More columns than meanings: any assignment would be a guess at random.
+        if names and len(values) == len(names):
+            return [extra | reading for reading in _of_missing(names, list(values))]
+    return [extra]
+
+
+def _without_scores(values: dict[int, FloatArray]) -> dict[int, FloatArray]:
+    """Return columns without scores between 0 and 1, residuals and whatever else is beside the
+    point.
+
+    That is, where more than four are left, what the others do not explain and is within 0 and 1,
+    as no heights are; and where more than five are left, all that they do not explain.
+    """
+    if len(values) <= len(_REQUIRED):
+        return values
+    explained = {i for i in values if _explained(values, i) > _BELONGS}
+    kept = {i: column for i, column in values.items() if i in explained
+            or np.nanmin(column) < 0.0 or np.nanmax(column) > 1.0}
+    if len(kept) > len(_REQUIRED) + 1 and len(explained) == len(_REQUIRED):
+        return {i: values[i] for i in explained}
+    return kept if len(kept) >= len(_REQUIRED) else values
 
 
 def _id_and_flags(rows: Sequence[Sequence[str]], numbers: Mapping[int, FloatArray],
@@ -261,19 +364,25 @@ def _of_pairs(values: Mapping[int, FloatArray]) -> list[dict[str, int]]:
     (sample, line) is negative. So the order within one pair decides that within the other.
     """
     free = list(values)
-    # Image and ground determine each other, a height is nearly free of both.
-    z_last = len(free) == 5 and _explained(values, free[2]) > _explained(values, free[4])
-    # Columns of a pair are next to each other in every format that is known.
-    image_first = free[:2], free[2:]
-    ground_first = free[-2:], free[:-2]
-    first_is_ground = _is_ground(values, free[:2])
-    last_is_ground = _is_ground(values, free[2:4] if z_last or len(free) == 4 else free[-2:])
+    z: list[int] = []
     if len(free) == 5:
-        divisions = [image_first if z_last else ground_first]
-    elif first_is_ground == last_is_ground:
-        divisions = [ground_first, image_first]
-    else:
+        # Image and ground determine each other, a height is nearly free of both. Pairs lie next
+        # to each other, so that it is the first, the middle or the last.
+        z = [min(free[::2], key=lambda i: _explained(values, i))]
+    pairs = [i for i in free if i not in z]
+    # Columns of a pair are next to each other in every format that is known.
+    image_first = pairs[:2], [*pairs[2:], *z]
+    ground_first = pairs[2:], [*pairs[:2], *z]
+    first_is_ground = _is_ground(values, pairs[:2])
+    last_is_ground = _is_ground(values, pairs[2:])
+    if first_is_ground != last_is_ground:
         divisions = [image_first if last_is_ground else ground_first]
+    elif z == free[2:3]:
+        divisions = [ground_first]
+    elif z == free[4:]:
+        divisions = [image_first]
+    else:
+        divisions = [ground_first, image_first]
     readings = []
     for image, ground in divisions:
         names = _upright(values, image, ground)

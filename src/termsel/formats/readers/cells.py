@@ -362,14 +362,23 @@ def of_records(records: Sequence[Mapping[str, Any]], row_name: str,
                  row_name=row_name, fixed=columns)
 
 
+def counts_columns(row: Sequence[str]) -> bool:
+    """Return whether a row counts columns from 0, as pandas heads columns without names."""
+    numbers = [cell.strip() for cell in row]
+    # The column of the index has no name.
+    numbers = numbers[1:] if numbers and not numbers[0] else numbers
+    return len(numbers) > 3 and numbers == [str(i) for i in range(len(numbers))]
+
+
 def without_header(cells: Cells, stated: Mapping[str, str]) -> Cells:
     """Return the cells with numbers for a header, where columns are declared by number and the
     first row holds numbers there.
 
-    A title above that row, whose cells are too few, is left out.
+    A title above that row, whose cells are too few or count the columns, is left out.
     """
     largest = max((int(name) for name in stated.values() if name.isdecimal()), default=0)
-    titles = next((i for i, row in enumerate(cells.rows[:_SEARCHED]) if len(row) >= largest), 0)
+    titles = next((i for i, row in enumerate(cells.rows[:_SEARCHED])
+                   if len(row) >= largest and not counts_columns(row)), 0)
     first = cells.rows[titles] if cells.rows else []
     columns = declared(first, stated)
     names = {name.strip().casefold() for name in first}

@@ -22,7 +22,7 @@ _AROSICS = ("POINT_ID", "X_IM", "Y_IM", "X_MAP", "Y_MAP", "X_SHIFT_M", "Y_SHIFT_
 _NO_MATCH = -9999.0
 NEEDS_REFERENCE = "the matches are pixels of two images, so the reference is needed"
 _POSITION_COLUMNS = (("image_line", "image_sample", "reference_line", "reference_sample"),
-           ("y1", "x1", "y2", "x2"))
+                     ("y1", "x1", "y2", "x2"), ("y0", "x0", "y1", "x1"))
 
 
 class ArosicsTable(Reader):
@@ -67,8 +67,9 @@ class ArosicsTable(Reader):
 class MatchesCsv(Reader):
     """Matches of an image with a georeferenced one, as a table of pixels.
 
-    Columns image_line, image_sample, reference_line, reference_sample, or y1, x1, y2, x2; the
-    centre of the first pixel is (0, 0). Further columns: id, and sigma in px.
+    Columns image_line, image_sample, reference_line, reference_sample, or y1, x1, y2, x2, or y0,
+    x0, y1, x1, as matches of LoFTR and its kin are called; the centre of the first pixel is (0, 0).
+    Further columns: id, and sigma in px.
     """
 
     name = "matches-csv"
@@ -106,7 +107,9 @@ def with_ground(path: Path, ids: Sequence[str], image: FloatArray, at: FloatArra
     """Return points whose ground coordinates are those of pixels of a reference."""
     if not reference:
         raise TermselError(NEEDS_REFERENCE, file=path,
-                           hint="Give it with --set reference=ORTHO.tif.")
+                           hint="Give it with --set reference=ORTHO.tif. If the second places are "
+                                "on the ground, declare the columns: --format points-csv --columns "
+                                "sample=NAME,line=NAME,x=NAME,y=NAME.")
     if not len(image):
         raise TermselError("the table has no matches", file=path, hint="Add one row per match.")
     with open_picture(reference) as picture:
