@@ -216,7 +216,8 @@ def _missing_pair(path: Path, header: Sequence[str], numeric: Sequence[int],
     Where two further columns hold numbers, these may be the other pair under names not known.
     """
     by_name = matches(header, POINTS)
-    if len(set(numeric) - {i for columns in by_name.values() for i in columns}) >= 2:
+    named = [meaning for meaning, columns in by_name.items() if set(columns) & set(numeric)]
+    if len(numeric) - len(named) >= 2:
         return None
     pairs = {"image": ("line", "sample"), "ground": ("x", "y")}
     absent = {pair: [name for name in names if not by_name[name]] for pair, names in pairs.items()}
