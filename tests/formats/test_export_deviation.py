@@ -18,8 +18,9 @@ from termsel.plugins.registry import registry
 from termsel.simulate import scene_truth, simulate_scene
 
 MEASURED = ("orthority-geojson", "points-csv", "residuals-gpkg", "lines-csv")
-POINTS = ("erdas-gcps", "pci-gcp", "metashape-markers", "pix4d-marks")
-CHECKED = ("asp-gcp", "odm-gcp-list", "micmac-xml", "gdal-options")
+POINTS = ("erdas-gcps", "pci-gcp")
+CHECKED = ("asp-gcp", "odm-gcp-list", "micmac-xml", "gdal-options", "metashape-markers",
+           "pix4d-marks")
 """Formats of termsel-formats that hold points alone."""
 
 

@@ -30,9 +30,10 @@ from termsel_formats.points.asp import AspGcpWriter
 from termsel_formats.points.gdal_text import GdalinfoText, GdalOptions, GdalOptionsWriter
 from termsel_formats.points.grass import GrassPoints
 from termsel_formats.points.links import ArcgisLinks
+from termsel_formats.points.metashape import MetashapeMarkersWriter
 from termsel_formats.points.micmac import MicmacXml, MicmacXmlWriter
 from termsel_formats.points.odm import OdmGcpList, OdmGcpListWriter
-from termsel_formats.points.pix4d import Pix4dMarks
+from termsel_formats.points.pix4d import Pix4dMarks, Pix4dMarksWriter
 
 GROUND = np.array([[500000.5, 5000000.0, 410.0], [500900.0, 5000010.0, 420.5],
                    [500020.0, 4999100.0, 430.0], [500880.0, 4999200.0, 415.0]])
@@ -353,7 +354,9 @@ WRITERS: dict[str, tuple[type[Writer], str, str]] = {
     "asp-gcp": (AspGcpWriter, "a.gcp", "EPSG:4979"),
     "odm-gcp-list": (OdmGcpListWriter, "a_gcp_list.txt", ""),
     "micmac-xml": (MicmacXmlWriter, "a.xml", "EPSG:32631"),
-    "gdal-options": (GdalOptionsWriter, "a_gcps.txt", "")}
+    "gdal-options": (GdalOptionsWriter, "a_gcps.txt", ""),
+    "metashape-markers": (MetashapeMarkersWriter, "a_markers.xml", ""),
+    "pix4d-marks": (Pix4dMarksWriter, "a_marks.csv", "EPSG:32631")}
 
 
 @pytest.mark.parametrize("name", sorted(WRITERS))
@@ -380,9 +383,11 @@ def test_blunders_stay_out_and_are_named(name: str, checked: Result, tmp_path: P
     assert "Left out: P7 (blunder of" in caplog.text
     # The format is told by the content.
     read = termsel.read(tmp_path / file, crs=crs or None).points
-    assert len(read) == (17 if name == "micmac-xml" else 23)
+    assert len(read) == (17 if name in ("micmac-xml", "pix4d-marks") else 23)
     known = checked.features.points.image[7]
     assert np.abs(read.image - known).max(axis=1).min() > 1.0
+    if name == "metashape-markers":
+        assert sum(role == "independent" for role in read.roles) == 6
     if name == "odm-gcp-list":
         assert sum(role == "independent" for role in read.roles) == 6
         assert sum(one.startswith("CHK-") for one in read.ids) == 6

@@ -15,9 +15,16 @@ import numpy as np
 from termsel import FeatureSet, Option, Points, Reader, Result, TermselError
 from termsel.toolkit import write_text, xml_document
 from termsel.toolkit.coordinates import horizontal, normalise
-from termsel.toolkit.files import IMAGE_NAME, chosen_points, image_of, located, wkt
+from termsel.toolkit.files import IMAGE_NAME, image_of, located, wkt
 from termsel_formats.points.common import CORNER, what_lacks, xml_root
-from termsel_formats.points.written import IMAGE, PointsWriter, image_name, say_points
+from termsel_formats.points.written import (
+    IMAGE,
+    PointsWriter,
+    checked_points,
+    image_name,
+    require_points,
+    say_checked,
+)
 
 _HINT = "Export the markers from Metashape again, as XML."
 
@@ -41,6 +48,10 @@ class MetashapeMarkers(Reader):
             marks = _marks(root)
             labels = _labels(root, "marker")
             ground = _references(root)
+            # Markers whose reference is not enabled are check points in Metashape.
+            disabled = {marker.get("id", "") for marker in root.iter("marker")
+                        for reference in marker.findall("reference")
+                        if reference.get("enabled", "true").lower() in ("false", "0")}
         except (KeyError, ValueError) as error:
             raise TermselError(f"a marker cannot be read: {what_lacks(error)}", file=path,
                                hint=_HINT) from error
@@ -55,11 +66,12 @@ class MetashapeMarkers(Reader):
         image = np.array([[mark.row, mark.column] for mark in used]) - CORNER
         try:
             points = Points(tuple(labels[mark.marker] for mark in used), image,
-                            np.array([ground[mark.marker] for mark in used]))
+                            np.array([ground[mark.marker] for mark in used]),
+                            roles=tuple("independent" if mark.marker in disabled else ""
+                                        for mark in used))
             return FeatureSet(points, crs=_crs(root))
         except TermselError as error:
             raise located(error, path) from error
-
 
     def parts(self, path: Path) -> dict[str, dict[str, Any]]:
         """Return the cameras of the markers, each of which is a part."""
@@ -123,17 +135,23 @@ def _crs(root: ElementTree.Element) -> str:
 
 
 class MetashapeMarkersWriter(PointsWriter):
-    """The selected control points as markers of Metashape, with their places in one camera."""
+    """Control and check points as markers of Metashape in one camera, without blunders.
+
+    The references of independent check points are not enabled, so that Metashape takes them as
+    check points.
+    """
 
     name = "metashape-markers"
-    summary = "selected control points as markers of Metashape (XML), in one camera"
+    summary = "points without blunders as markers of Metashape (XML), with check points"
     suffix = "_markers.xml"
     declared_options: ClassVar[tuple[Option, ...]] = (IMAGE,)
 
     def write(self, result: Result, path: Path) -> None:
         """Write the markers."""
         self.require(result, path)
-        points = chosen_points(result)
+        checked = checked_points(result)
+        require_points(checked, path, self.needs)
+        points = checked.points
         root = ElementTree.Element("document", version="1.2.0")
         chunk = ElementTree.SubElement(root, "chunk", label="Chunk 1", enabled="true")
         cameras = ElementTree.SubElement(chunk, "cameras")
@@ -142,15 +160,17 @@ class MetashapeMarkersWriter(PointsWriter):
         markers = ElementTree.SubElement(chunk, "markers")
         frame = ElementTree.SubElement(ElementTree.SubElement(chunk, "frames"), "frame", id="0")
         frame_markers = ElementTree.SubElement(frame, "markers")
-        for i, (name, (line, sample), position) in enumerate(zip(
-                points.ids, points.image.tolist(), points.ground.tolist(), strict=True)):
+        for i, (name, (line, sample), position, is_check) in enumerate(zip(
+                points.ids, points.image.tolist(), points.ground.tolist(), checked.is_check,
+                strict=True)):
             marker = ElementTree.SubElement(markers, "marker", id=str(i), label=name)
             coordinates = {axis: repr(value) for axis, value in zip("xyz", position, strict=True)
                      if not np.isnan(value)}
-            ElementTree.SubElement(marker, "reference", {**coordinates, "enabled": "true"})
+            ElementTree.SubElement(marker, "reference", {
+                **coordinates, "enabled": "false" if is_check else "true"})
             ElementTree.SubElement(
                 ElementTree.SubElement(frame_markers, "marker", marker_id=str(i)), "location",
                 camera_id="0", pinned="true", x=repr(sample + CORNER), y=repr(line + CORNER))
         ElementTree.SubElement(chunk, "reference").text = wkt(horizontal(result.features.crs))
         write_text(path, xml_document(root))
-        say_points(self.name)
+        say_checked(self.name, checked)

@@ -26,13 +26,19 @@ from termsel.toolkit.files import (
     Table,
     atomic_path,
     cell_text,
-    chosen_points,
     encoded,
     image_of,
     is_number,
 )
 from termsel_formats.points.common import CORNER
-from termsel_formats.points.written import IMAGE, PointsWriter, image_name, say_points
+from termsel_formats.points.written import (
+    IMAGE,
+    PointsWriter,
+    checked_points,
+    image_name,
+    require_points,
+    say_checked,
+)
 
 _MARK = re.compile(rb"\s*[^,\r\n]+\.(?:jpe?g|tiff?|png|dng|rjpg|raw)\s*,[^,\r\n]+,"
                    rb"\s*[-+.\d][^,\r\n]*,\s*[-+.\d][^,\r\n]*(?:,\s*[\d.][^,\r\n]*)?\s*$",
@@ -140,13 +146,13 @@ def _rows(path: Path, widths: tuple[int, ...], form: str) -> list[tuple[int, lis
 
 
 class Pix4dMarksWriter(PointsWriter):
-    """The selected control points as marks for Pix4D, and NAME_gcps.csv with their places.
+    """Control points as marks for Pix4D without blunders, and NAME_gcps.csv with their places.
 
-    Of geographic coordinates the latitude comes first there, as Pix4D expects it.
+    Independent check points are left out, as the files do not tell them from control. Of geographic coordinates the latitude comes first there, as Pix4D expects it.
     """
 
     name = "pix4d-marks"
-    summary = "selected control points as marks for Pix4D, and their coordinates in NAME_gcps.csv"
+    summary = "points without blunders as marks for Pix4D, and their coordinates in NAME_gcps.csv"
     suffix = "_marks.csv"
     declared_options: ClassVar[tuple[Option, ...]] = (IMAGE,)
 
@@ -157,7 +163,10 @@ class Pix4dMarksWriter(PointsWriter):
     def write(self, result: Result, path: Path) -> None:
         """Write both files."""
         self.require(result, path)
-        points = chosen_points(result)
+        # Nothing in these files tells a check point from control.
+        checked = checked_points(result).without_checks()
+        require_points(checked, path, self.needs)
+        points = checked.points
         image = cell_text(image_name(self.options["image"], path).replace(",", "_"))
         swapped = is_geographic(result.features.crs)
         marks = []
@@ -171,4 +180,4 @@ class Pix4dMarksWriter(PointsWriter):
         with atomic_path(path) as unfinished:  # in place after the other, or neither is
             unfinished.write_bytes(encoded("\n".join([*marks, ""])))
             write_text(_ground_file(path), "\n".join([*ground_rows, ""]))
-        say_points(self.name)
+        say_checked(self.name, checked)
