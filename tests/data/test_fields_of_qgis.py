@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from termsel.data.tables.columns import POINTS, matches
+from termsel.data.tables.columns import _FURTHER, POINTS, matches
 
 PLUGIN = Path(__file__).parents[2] / "plugins" / "qgis-termsel" / "qgis_termsel"
 
@@ -20,7 +20,7 @@ KNOWN, field_of = field_names.KNOWN, field_names.field_of
 
 @pytest.mark.parametrize("meaning", ["id", "line", "sample", "z"])
 def test_all_names_of_the_command_line_are_known(meaning: str) -> None:
-    for name in [*POINTS[meaning], *KNOWN[meaning].split()]:
+    for name in [*POINTS[meaning], *_FURTHER[meaning], *KNOWN[meaning].split()]:
         assert field_of(meaning, ["geom", name.upper(), "other"]) == name.upper()
     # "fid" and "sourceY" are QGIS's own, which tables have not.
     for name in KNOWN[meaning].split()[:-1]:

@@ -9,17 +9,19 @@ import unicodedata
 
 KNOWN = {
     "id": "id name pt ptid ptno point points pointid pointname pointno pointnr pointnumber gcp "
-          "gcpid gcpno gcpname label nr no num number punkt punktid punktnr punktnummer punktname "
-          "nummer numero nom nombre punto idpunto nome ponto 点 点号 点名 编号 序号 名称 id号 fid",
+          "gcpid gcpno gcpname gcplabel label nr no num number pkt pktnr punkt punktid punktnr "
+          "punktnummer punktname passpunkt nummer numer numero nom nombre punto idpunto nome "
+          "ponto punt puntnummer nazwa naam 点 点号 点名 编号 序号 名称 id号 fid",
     "role": "role use",
-    "line": "line row ypx lines rows ypix ypixel pixely imgy imagey yimg yimage lineno zeile "
-            "bildzeile ligne rangee fila linea riga linha 行 行号 行数 行坐标 sourcey",
-    "sample": "sample col column xpx pixel samples samp cols columns xpix xpixel pixelx pix imgx "
-              "imagex ximg ximage spalte bildspalte colonne columna muestra colonna campione "
-              "coluna 列 列号 列数 列坐标 sourcex",
-    "z": "z h height elev elevation alt altitude hohe hoehe hauteur altura altitud altitudine "
-         "altezza cota quota elevazione elevacion elevacao ellipsoidalheight ellheight "
-         "高程 高度 高 大地高 海拔"}
+    "line": "line row ypx lin lines rows ypix ypixel pixely py imgy imagey yimg yimage lineno "
+          "zeile bildzeile bildy ligne rangee fila linea riga linha wiersz rij regel 行 行号 行数 "
+          "行坐标 sourcey",
+    "sample": "sample col column xpx pixel samples samp cols columns xpix xpixel pixelx pix px "
+          "imgx imagex ximg ximage spalte bildspalte bildx colonne columna muestra colonna "
+          "campione coluna kolumna kolom 列 列号 列数 列坐标 sourcex",
+    "z": "z h height elev elevation alt altitude hohe hoehe hoheunn hoheunhn hauteur altura "
+          "altitud altitudine altezza cota quota elevazione elevacion elevacao wysokosc hoogte "
+          "pointz ellipsoidalheight ellheight 高程 高度 高 大地高 海拔"}
 """Names of each meaning, without accents and signs, the usual ones first."""
 
 _UNIT = re.compile(r"\s*[\[({<【].*$|[\s_.-]+(px|pix|pixels?|m|deg|degrees?|dms|wgs84|utm)$")
@@ -27,7 +29,7 @@ _UNIT = re.compile(r"\s*[\[({<【].*$|[\s_.-]+(px|pix|pixels?|m|deg|degrees?|dms
 
 def folded(name):
     """Return a name without accents, signs and capitals."""
-    letters = unicodedata.normalize("NFKD", name.casefold())
+    letters = unicodedata.normalize("NFKD", name.casefold().replace("ł", "l"))
     without_accents = "".join(sign for sign in letters if not unicodedata.combining(sign))
     return re.sub(r"[\W_]", "", without_accents)
 

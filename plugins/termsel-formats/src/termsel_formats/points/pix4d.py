@@ -148,7 +148,8 @@ def _rows(path: Path, widths: tuple[int, ...], form: str) -> list[tuple[int, lis
 class Pix4dMarksWriter(PointsWriter):
     """Control points as marks for Pix4D without blunders, and NAME_gcps.csv with their places.
 
-    Independent check points are left out, as the files do not tell them from control. Of geographic coordinates the latitude comes first there, as Pix4D expects it.
+    Independent check points are left out, as the files do not tell them from control. Of
+    geographic coordinates the latitude comes first there, as Pix4D expects it.
     """
 
     name = "pix4d-marks"
