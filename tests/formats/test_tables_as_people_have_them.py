@@ -328,7 +328,7 @@ def test_the_command_line_shows_a_command_that_runs(tmp_path: Path,
     assert capsys.readouterr().out.startswith(f"{path.name}: {N} points, EPSG:4979")
 
 
-def test_a_command_to_complete_has_what_was_given_once(tmp_path: Path,
+def test_a_command_that_is_shown_has_what_was_given_once(tmp_path: Path,
                                                        call: Callable[..., Any]) -> None:
     import shlex
 
@@ -338,9 +338,10 @@ def test_a_command_to_complete_has_what_was_given_once(tmp_path: Path,
     path.write_text("\n".join(["n,r,c,east,north", *rows]))
     asked = ["run", "--points", path, "--model", "poly2d", "--columns", "line=r", "--columns=id=n"]
     assert "--columns is given 2 times" in call(*asked).stderr
-    shown = call(*asked[:-1]).stderr.partition("Complete and run: termsel ")[2]
+    shown = call(*asked[:-1]).stderr.partition("A guess, to check: termsel ")[2]
     assert shown.count("--columns") == 1
-    done = call(*shlex.split(shown.replace("sample=?", "sample=c")), "--crs", "local", "--quiet")
+    assert "sample=c" in shown
+    done = call(*shlex.split(shown), "--crs", "local", "--quiet")
     assert done.exit_code == 0, done.stderr
 
 

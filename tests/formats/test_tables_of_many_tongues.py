@@ -100,7 +100,10 @@ def test_a_pair_that_the_other_explains_is_guessed(header: str, meanings: str, g
     with pytest.raises(TermselError, match="This mapping is a guess") as caught:
         termsel.read(path, crs="EPSG:32633")
     assert caught.value.guesses[0] == guess
-    assert len(caught.value.guesses) == 2
+    # What is shown fits the CRS: exchanged, the ground would be in no zone of UTM.
+    for shown in caught.value.guesses:
+        termsel.read(path, crs="EPSG:32633", columns=shown)
+    assert len(caught.value.guesses) == (1 if ";a;b" in header else 2)
 
 
 def test_two_pairs_of_ground_are_both_shown(tmp_path: Path) -> None:
@@ -108,6 +111,9 @@ def test_two_pairs_of_ground_are_both_shown(tmp_path: Path) -> None:
                    "id line sample x y z lat lon")
     with pytest.raises(TermselError, match="both mean x") as caught:
         termsel.read(path, crs="EPSG:32633")
+    assert caught.value.guesses == ["id=id,line=line,sample=sample,x=x,y=y,z=z"]
+    with pytest.raises(TermselError, match="both mean x") as caught:
+        termsel.read(path)
     assert caught.value.guesses == ["id=id,line=line,sample=sample,x=x,y=y,z=z",
                                     "id=id,line=line,sample=sample,x=lon,y=lat,z=z"]
 
