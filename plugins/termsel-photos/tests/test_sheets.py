@@ -213,7 +213,8 @@ def test_candidates_are_of_files(tmp_path: Path) -> None:
     assert "--candidates requires --points or --lines" in refused.stderr
 
 
-def test_a_projection_on_an_ellipsoid_without_a_datum_is_one_of_a_map(tmp_path: Path) -> None:
+def test_a_projection_on_an_ellipsoid_without_a_datum_is_one_of_a_map(
+        tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     bonne = "+proj=bonne +lat_1=46 +lon_0=8 +a=6376523 +rf=308.64 +units=m +no_defs"
     path = table(sheet(6, 0), tmp_path / "map.csv")
     control = termsel.read(path, crs="EPSG:4326", projection=bonne)
@@ -221,6 +222,7 @@ def test_a_projection_on_an_ellipsoid_without_a_datum_is_one_of_a_map(tmp_path: 
     places = control.points.ground
     np.testing.assert_allclose(fitted.locate(fitted.project(places), np.zeros(6))[:, :2],
                                places[:, :2], atol=1e-7)
-    # Of other uses it stays unknown where that is on the Earth.
-    with pytest.raises(TermselError, match="cannot be transformed"):
-        transformation(bonne, "EPSG:4979")
+    assert "no datum" not in caplog.text
+    # For all other uses a note says that where this is on the Earth is not known well.
+    transformation(bonne.replace("+lat_1=46", "+lat_1=46.25"), "EPSG:4979")
+    assert "has an ellipsoid and no datum" in caplog.text
