@@ -383,7 +383,8 @@ def test_blunders_stay_out_and_are_named(name: str, checked: Result, tmp_path: P
     assert "Left out: P7 (blunder of" in caplog.text
     # The format is told by the content.
     read = termsel.read(tmp_path / file, crs=crs or None).points
-    assert len(read) == (17 if name in ("micmac-xml", "pix4d-marks") else 23)
+    assert len(read) == (
+        17 if name in ("micmac-xml", "pix4d-marks", "gdal-options") else 23)
     known = checked.features.points.image[7]
     assert np.abs(read.image - known).max(axis=1).min() > 1.0
     if name == "metashape-markers":
@@ -401,6 +402,27 @@ def test_blunders_stay_out_and_are_named(name: str, checked: Result, tmp_path: P
         assert sum(" 10000.0 10000.0 10000.0 " in row for row in text.splitlines()) == 6
         # bundle_adjust reads ids as whole numbers, and leaves out other rows.
         assert all(row.split()[0].isdecimal() for row in text.splitlines() if row[0] != "#")
+
+
+@pytest.mark.skipif(shutil.which("gdal_translate") is None, reason="GDAL is not installed")
+def test_gdal_takes_a_projection_without_a_code_from_options(tmp_path: Path) -> None:
+    pyproj = pytest.importorskip("pyproj")
+    bonne = "+proj=bonne +lat_1=36 +lon_0=0 +ellps=clrk80ign +pm=paris +units=m"
+    result = fitted(bonne)
+    termsel.export(result, "gdal-options", tmp_path / "a.txt")
+    with pytest.warns(rasterio.errors.NotGeoreferencedWarning):
+        rasterio.open(tmp_path / "a.tif", "w", driver="GTiff", width=3000, height=2000, count=1,
+                      dtype="uint8", sparse_ok=True).close()
+    subprocess.run(["gdal_translate", "-q", "-of", "VRT", "--optfile", tmp_path / "a.txt",
+                    tmp_path / "a.tif", tmp_path / "b.vrt"], check=True)
+    with rasterio.open(tmp_path / "b.vrt") as raster:
+        gcps, crs = raster.gcps
+        assert len(gcps) == 24
+        written = pyproj.CRS(crs.to_wkt())
+    assert written.prime_meridian.name == "Paris"
+    assert written.coordinate_operation.method_name.startswith("Bonne")
+    read = pyproj.CRS(termsel.read(tmp_path / "a.txt").crs)
+    assert read.coordinate_operation.method_name.startswith("Bonne")
 
 
 def test_check_points_alone_are_no_control_of_micmac(tmp_path: Path) -> None:

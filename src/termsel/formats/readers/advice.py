@@ -89,9 +89,8 @@ def _counts_upwards(lines: FloatArray) -> bool:
 
 def _are_two_images(numbers: Mapping[int, FloatArray], reading: Mapping[str, int]) -> bool:
     """Return whether the ground coordinates of a reading may be pixels, too."""
-    x, y = numbers[reading["x"]], numbers[reading["y"]]
-    return not _is_ground(numbers, (reading["x"], reading["y"])) \
-        and min(np.nanmin(x), np.nanmin(y)) >= 0.0
+    pair = reading["x"], reading["y"]
+    return not _is_ground(numbers, pair) and all(bool(np.nanmin(numbers[i]) >= 0.0) for i in pair)
 
 
 def only_those_that_can_be_read(error: TermselError,

@@ -196,20 +196,24 @@ def _readable(crs: str) -> str:
 
 
 class GdalOptionsWriter(PointsWriter):
-    """Points without blunders as options of gdal_translate, for ``--optfile``."""
+    """Control points without blunders as options of gdal_translate, for ``--optfile``.
+
+    Independent check points are left out, as GDAL would fit to them.
+    """
 
     name = "gdal-options"
-    summary = "points without blunders as -gcp options, for gdal_translate --optfile FILE"
+    summary = "control without blunders as -gcp options, for gdal_translate --optfile FILE"
     suffix = "_gcps.txt"
 
     def write(self, result: Result, path: Path) -> None:
         """Write an option a line."""
         self.require(result, path)
-        checked = checked_points(result)
+        # GDAL would take check points as control.
+        checked = checked_points(result).without_checks()
         require_points(checked, path, self.needs)
-        crs = horizontal(result.features.crs)
-        # A WKT has quotation marks of its own.
-        rows = [f'-a_srs "{crs}"' if '"' not in crs else f"-a_srs '{crs}'"]
+        # A WKT has quotation marks of its own; GDAL knows no others.
+        crs = horizontal(result.features.crs).replace('"', '\\"')
+        rows = [f'-a_srs "{crs}"']
         for (line, sample), (x, y, z) in zip(checked.points.image.tolist(),
                                              checked.points.ground.tolist(), strict=True):
             height = "" if np.isnan(z) else f" {z!r}"
