@@ -17,8 +17,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from termsel import FeatureSet, Option, Reader, Result, TermselError
-from termsel.toolkit import normalise, read_text, write_text
-from termsel.toolkit.coordinates import to_wgs84
+from termsel.toolkit import read_text, write_text
+from termsel.toolkit.coordinates import normalise, to_wgs84
 from termsel.toolkit.files import IMAGE_NAME, Table, image_of, is_number
 from termsel_formats.points.written import (
     IMAGE,
