@@ -127,7 +127,7 @@ def _names_latitude(path: Path) -> bool:
 
 def _rows(path: Path, widths: tuple[int, ...], form: str) -> list[tuple[int, list[str]]]:
     """Return number and cells of the lines of a file."""
-    rows = []
+    rows: list[tuple[int, list[str]]] = []
     try:
         for number, row in enumerate(csv.reader(read_text(path).splitlines()), 1):
             cells = [cell.strip() for cell in row]
