@@ -32,7 +32,8 @@ the sets, and [Compare your own method](../how-to/benchmark.md) the protocol.
 
 `auto` is what termsel does where nothing is asked; `solver ga` is the papers' search of terms with
 selection points as fitness. `deap-script` and `pymoo-script` are such searches without termsel, of
-20 terms per image coordinate. `gdal-polynomial` has the order that GDAL takes; `ransac` and
+20 terms per image coordinate. Where a set has few points they find no selection of fewer terms than
+points, which is no result. `gdal-polynomial` has the order that GDAL takes; `ransac` and
 `scikit-learn` are
 polynomials of space. All but `auto` and `orthority` ignore the RPC. All but `auto` and `solver ga`
 ignore lines.
