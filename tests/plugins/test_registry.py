@@ -10,6 +10,8 @@ import pytest
 import termsel
 from termsel.core.errors import TermselError
 from termsel.core.isolation.parts import own_packages
+from termsel.core.options import by_part
+from termsel.io.read import READ_OPTIONS, read_options
 from termsel.plugins import builtin, hookspecs
 from termsel.plugins.kinds import KINDS
 from termsel.plugins.loading import HOOKS
@@ -212,6 +214,30 @@ def test_all_that_packages_of_this_project_provide_is_known_without_them(kind):
     assert {entry.full_name for entry in process_registry().entries(kind)
             if entry.provided_by in known
             and entry.name not in known[entry.provided_by]} == set()
+
+
+def test_all_options_of_packages_of_this_project_are_known_without_them():
+    """An option of a package that is not installed is answered with the name of that package."""
+    built_in = {option.name for option in READ_OPTIONS}
+    of_packages = {("termsel-photos", option.name) for option in read_options()
+                   if option not in READ_OPTIONS}
+    for kind in KINDS:
+        for entry in process_registry().entries(kind):
+            names = {option.name for option in getattr(entry.object, "declared_options", ())}
+            if entry.provided_by == "termsel":
+                built_in |= names
+            elif entry.provided_by in own_packages():
+                of_packages |= {(entry.provided_by, name) for name in names}
+    missing = {(package, name) for package, name in of_packages
+               if name not in built_in and f"--set {name}" not in own_packages()[package]}
+    assert missing == set()
+
+
+def test_an_option_of_a_package_that_is_left_out_names_it(monkeypatch):
+    monkeypatch.setenv("TERMSEL_PLUGINS", "")
+    with pytest.raises(TermselError, match=r"unknown option 'camera_focal'.*It is an option of the "
+                                           "package termsel-photos, which is"):
+        by_part({"camera_focal": "3600"}, {"model": ()})
 
 
 def test_a_plugin_is_asked_once(install, registry):

@@ -120,6 +120,25 @@ def test_auto_chooses_the_camera_and_reads_it_back(tmp_path: Path) -> None:
     assert np.isnan(again.project(behind)).all()
 
 
+def test_a_result_states_where_the_camera_was_and_how_it_looked(tmp_path: Path) -> None:
+    control, _, _ = photo(12, down=60.0, camera_focal=FOCAL, noise=0.0)
+    result = termsel.run(features=replace(control, crs="local"), method="known-camera",
+                         out=tmp_path / "out")
+    figures = {figure.name: figure.value for figure in result.sensor}
+    for axis, place in zip("xyz", (400_000.0, 5_000_000.0, 1500.0), strict=True):
+        assert figures[f"projection centre {axis}"] == pytest.approx(place, abs=0.5)
+    assert figures["focal length"] == pytest.approx(FOCAL, abs=2.0)
+    # It looks along 0.6, 0.8 and 60 deg downwards; m31 = sin(phi), m21 / m11 = -tan(kappa).
+    angles = [np.radians(figures[name]) for name in ("omega", "phi", "kappa")]
+    view = [0.6 * 0.5, 0.8 * 0.5, -np.sqrt(0.75)]
+    assert np.sin(angles[1]) == pytest.approx(-view[0], abs=1e-3)
+    assert -np.sin(angles[0]) * np.cos(angles[1]) == pytest.approx(-view[1], abs=1e-3)
+    assert np.cos(angles[1]) * np.cos(angles[2]) == pytest.approx(0.8, abs=1e-3)
+    written = (tmp_path / "out" / "summary.txt").read_text("utf-8")
+    assert "projection centre x" in written
+    assert termsel.read_result(tmp_path / "out").sensor == result.sensor
+
+
 def test_options_of_reading_say_the_camera(tmp_path: Path) -> None:
     table = tmp_path / "gcps.csv"
     control, _, _ = photo(4)

@@ -71,6 +71,19 @@ def test_few_points_of_a_photo_are_enough(kind: str) -> None:
                 termsel.fit(photo(kind, 16), camera.name)
 
 
+def test_a_frame_camera_states_its_place_and_angles() -> None:
+    fitted = termsel.fit(photo("frame", 40, noise=0.0), "frame-camera")
+    figures = {figure.name: figure.value
+               for figure in fitted.model.sensor_figures(fitted.adjustment.coefficients)}
+    # Priors pull the focal length, and with it the flying height, of a vertical photo.
+    height = figures["projection centre z"]
+    assert height == pytest.approx(HIGH, rel=0.05)
+    assert figures["focal length"] / height == pytest.approx(FOCAL / HIGH, rel=0.01)
+    assert figures["projection centre x"] == pytest.approx(400_000.0, abs=60.0)
+    assert figures["projection centre y"] == pytest.approx(4_000_000.0, abs=60.0)
+    assert figures["kappa"] == pytest.approx(np.degrees(0.7), abs=0.2)
+
+
 @pytest.mark.parametrize("kind", ["frame", "panoramic"])
 def test_golden_positions(kind: str) -> None:
     # All of the truth is in the model: what exact points leave is what priors pull.

@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 from termsel.core.display import Glance
 from termsel.core.errors import TermselError, unknown_name
 from termsel.core.isolation.calls import Check, Guarded
+from termsel.core.isolation.parts import package_of_option
 
 COUNT = 1_000_000
 """Most of what is counted, where an option has no limit of its own: more is a mistake of typing."""
@@ -210,7 +211,7 @@ def by_part(values: Mapping[str, Any],
         # Without a prefix every part that declares the name is meant; more than one is ambiguous.
         matching = [owner for owner in owners.get(name, ()) if prefix in ("", owner)]
         if not matching:
-            raise unknown_name("option", key, owners)
+            raise unknown_name("option", key, owners, package_of_option(name))
         if len(matching) > 1:
             full_names = " or ".join(f"{owner}.{name}" for owner in matching)
             raise TermselError(f"{' and '.join(matching)} each have an option {name!r}",

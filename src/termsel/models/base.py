@@ -21,6 +21,7 @@ from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray
 from termsel.data.scaling import Scaling
 
 if TYPE_CHECKING:
+    from termsel.data.record.figures import SensorFigure
     from termsel.data.rpc import Rpc
 
 LINE, SAMPLE, BOTH = 0, 1, 2
@@ -197,6 +198,18 @@ class SensorModel(Configurable, ABC):
             Of all terms; 0 of those that are not selected.
         """
         return None
+
+    def sensor_figures(self, coefficients: FloatArray) -> tuple[SensorFigure, ...]:
+        """Return what the coefficients say of the sensor: of a camera its place and its angles.
+
+        Results show and record them. None, the default, where the terms stand for no sensor.
+
+        Parameters
+        ----------
+        coefficients : ndarray, shape (k,)
+            Of all terms; 0 of those that are not selected.
+        """
+        return ()
 
     def known_image(self) -> KnownImage | None:
         """Return size and area of the image where the model knows them before it is fitted.

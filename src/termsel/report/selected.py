@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import cast
 
 from termsel.core.errors import amount, counted, percent
-from termsel.data.record.figures import SIGNIFICANT, AdjustmentFigures, RoleRmse
+from termsel.data.record.figures import SIGNIFICANT, AdjustmentFigures, RoleRmse, SensorFigure
 from termsel.data.record.record import Record
 from termsel.data.record.search import Certificate, Member, SizeRow, Strategy
 from termsel.fitting.diagnosis import CORRELATED
@@ -31,6 +31,10 @@ def selected(record: Record, view: View | None, picture: str) -> Iterator[Block]
         yield from map(Detail, _search(record))
         yield from _proven(record)
     yield from _front(record, view, picture)
+    if record.sensor:
+        yield Detail(TableBlock("Sensor", ("", "value", "unit"), [
+            (figure_of_sensor.name, _of_unit(figure_of_sensor), figure_of_sensor.unit)
+            for figure_of_sensor in record.sensor]))
     yield from map(Detail, _coefficients(record))
     if view is not None:
         # Charts of terms, each with its table for those who cannot see it.
@@ -44,6 +48,20 @@ def selected(record: Record, view: View | None, picture: str) -> Iterator[Block]
         yield Detail(Names("Features", selection.features))
     if selection.n_terms < offered.n_terms:
         yield Detail(Names("Terms", selection.terms))
+
+
+_DECIMALS = {"px": 2, "m": 2, "deg": 4}
+"""Decimals of a figure of a sensor by its unit; those of longitude and latitude are more."""
+
+_PLACE_DECIMALS = 8
+"""Decimals of a longitude or latitude [deg]: a millimetre."""
+
+
+def _of_unit(sensor: SensorFigure) -> str:
+    """Return a figure of a sensor with the decimals of its unit."""
+    is_place = sensor.unit == "deg" and sensor.name.startswith("projection centre")
+    decimals = _PLACE_DECIMALS if is_place else _DECIMALS.get(sensor.unit, 4)
+    return f"{sensor.value:.{decimals}f}"
 
 
 def _iterated(adjustment: AdjustmentFigures) -> str:

@@ -37,6 +37,7 @@ def numbers_of(fitted: Fit) -> dict[str, Any]:
         "estimation": fit_record(fitted),
         "adjustment": adjustment_figures(
             fitted, orientation_spread(lines) if len(lines) else None),
+        "sensor": fitted.model.sensor_figures(fitted.adjustment.coefficients),
         "significance": significance(fitted),
         "correlations": tuple(Correlation((first, second), value)
                               for first, second, value in correlations(fitted)),

@@ -16,7 +16,13 @@ from termsel import (
     SensorModel,
     Undetermined,
 )
-from termsel.toolkit.models import pinhole_of, view_of
+from termsel.toolkit import is_geographic
+from termsel.toolkit.models import (
+    SensorFigure,
+    exterior_orientation,
+    pinhole_of,
+    view_of,
+)
 from termsel_scanner.candidate import sensor_of
 from termsel_scanner.orbit import axes_at, geocentric
 from termsel_scanner.physical import FloatArray, Physical, RobustFit, known
@@ -164,6 +170,14 @@ class Photo(Physical):
         """
         focal = FOCAL * np.exp(FOCAL_SPREAD * x["focal"])
         scale = np.exp(SCALE * x["scale"]) / self._extent()
+        turned = self.rotation_of(x)
+        # Relative to the middle of the control, and by the distance of the camera from it.
+        in_camera = self.local(ground) @ turned.transpose(0, 2, 1)
+        return np.asarray(in_camera * (scale / focal)[:, None, None] + ray[:, None, :]), \
+            focal[:, None]
+
+    def rotation_of(self, x: dict[str, FloatArray]) -> FloatArray:
+        """Return the directions of lines, samples and the view, as rows of (p, 3, 3)."""
         sine = np.sin(TURN * x["turn"])
         cosine = np.cos(TURN * x["turn"])
         none = np.zeros_like(sine)
@@ -181,10 +195,7 @@ class Photo(Physical):
             turned = turned.copy()
             turned[:, i] = c * image_axis - s * view
             turned[:, 2] = s * image_axis + c * view
-        # Relative to the middle of the control, and by the distance of the camera from it.
-        in_camera = self.local(ground) @ turned.transpose(0, 2, 1)
-        return np.asarray(in_camera * (scale / focal)[:, None, None] + ray[:, None, :]), \
-            focal[:, None]
+        return np.asarray(turned)
 
     def image_of(self, values: FloatArray, ground: FloatArray) -> FloatArray:
         """Return scaled image positions (p, n, 2) by values of terms (p, k)."""
@@ -257,6 +268,25 @@ class Frame(Photo):
         shear = FILM * x["shear"][:, None]
         return np.stack([line * (1.0 + affinity) + shear * sample, sample], axis=-1) \
             - middle[:, None]
+
+
+    def sensor_figures(self, coefficients: FloatArray) -> tuple[SensorFigure, ...]:
+        """Return place, angles, focal length and principal point of the camera."""
+        scaling = known(self.scaling)
+        x = dict(zip(self.terms, np.asarray(coefficients)[:, None], strict=True))
+        away = MIDDLE * np.array([x["middle-line"][0], x["middle-sample"][0]])
+        focal = float(FOCAL * np.exp(FOCAL_SPREAD * x["focal"][0]))
+        scale = float(np.exp(SCALE * x["scale"][0])) / self._extent()
+        rotation = self.rotation_of(x)[0]
+        # In the camera's axes a place is R X scale / focal + ray, which is 0 at the camera.
+        centre = -np.append(away / focal, 1.0) * focal / scale @ rotation
+        principal = np.array([[x["line"][0], x["sample"][0]]]) - away
+        line, sample = scaling.pixels(principal)[0].tolist()
+        unit = "deg" if is_geographic(self.crs) else "m"
+        return (*exterior_orientation(rotation, centre, self.local, scaling, unit),
+                SensorFigure("focal length", focal * scaling.image_scale, "px"),
+                SensorFigure("principal point, line", line, "px"),
+                SensorFigure("principal point, sample", sample, "px"))
 
 
 class Panoramic(Photo):

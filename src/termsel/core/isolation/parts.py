@@ -72,13 +72,8 @@ LEFT_OUT = f"is installed, but left out by the variable {PLUGINS_VARIABLE}"
 
 def is_left_out(package: str) -> bool:
     """Return whether a package is installed, and not used since a variable leaves it out."""
-    if os.environ.get(PLUGINS_VARIABLE) is None:
-        return False
-    try:
-        distribution(package)
-    except PackageNotFoundError:
-        return False
-    return True
+    listed = os.environ.get(PLUGINS_VARIABLE)
+    return listed is not None and package not in listed.split(",") and _is_installed(package)
 
 
 def install_hint(package: str) -> str:
@@ -86,9 +81,35 @@ def install_hint(package: str) -> str:
     return f"In a clone of termsel: pip install ./plugins/{package}"
 
 
+def package_of_option(name: str) -> str:
+    """Return a sentence on the package that an option of ``--set`` comes with; "" if it is used."""
+    package = package_of_name(f"{SET} {name}")
+    if not package:
+        return ""
+    if is_left_out(package):
+        return f"It is an option of the package {package}, which {LEFT_OUT}: unset it."
+    return "" if _is_installed(package) else \
+        f"It is an option of the package {package}, which is not installed. {install_hint(package)}"
+
+
+SET = "--set"
+"""In the list of names, what an option begins with."""
+
+
+def _is_installed(package: str) -> bool:
+    try:
+        distribution(package)
+    except PackageNotFoundError:
+        return False
+    return True
+
+
 @cache
 def own_packages() -> dict[str, list[str]]:
-    """Return the names that each plugin package of termsel's own provides, by distribution."""
+    """Return the names that each plugin package of termsel's own provides, by distribution.
+
+    Options that only such a package has are among them, as "--set NAME".
+    """
     names_by_package: dict[str, list[str]] = json.loads(
         (files("termsel.plugins") / "packages.json").read_text("utf-8"))
     return names_by_package

@@ -282,6 +282,17 @@ class Significance(RecordPart, frozen=True):
     """Chance of so large a t if the coefficient were zero (two-sided Student test)."""
 
 
+class SensorFigure(RecordPart, frozen=True):
+    """A figure of the sensor that the coefficients stand for, such as the angle omega."""
+
+    name: str
+    """What it is."""
+    value: float
+    """Its value."""
+    unit: str
+    """Its unit: px, m or deg."""
+
+
 class Correlation(RecordPart, frozen=True):
     """Two coefficients that correlate."""
 

@@ -29,6 +29,7 @@ from termsel.data.record.figures import (
     Outlier,
     Predicted,
     RmseByRole,
+    SensorFigure,
     Significance,
 )
 from termsel.data.record.search import (
@@ -383,6 +384,9 @@ class Record(RecordPart, frozen=True, kw_only=True):
     """How the coefficients were found."""
     adjustment: AdjustmentFigures
     """Figures of the least-squares adjustment."""
+    sensor: tuple[SensorFigure, ...] = ()
+    """What the coefficients say of the sensor, as of a camera its place, its angles and its focal
+    length; empty where the model knows none."""
     significance: Mapping[str, Significance]
     """Test of each coefficient against zero, by term."""
     correlations: tuple[Correlation, ...]
