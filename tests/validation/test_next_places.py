@@ -132,7 +132,7 @@ def test_plan_on_a_grid_over_the_image(folder: Path, tmp_path: Path) -> None:
     assert len(out.splitlines()) == 5
     assert "px now" in err
     header, *rows = table.read_text().splitlines()[1:]
-    assert header == "id,line,sample,x,y,z,uncertainty"
+    assert header == "id,line,sample,x,y,z,uncertainty_px"
     values = np.array([[float(cell) for cell in row.split(",")[1:]] for row in rows])
     assert ((values[:, :2] >= 0) & (values[:, :2] < 4000)).all()
     assert (np.diff(values[:, 5]) < 0).all()

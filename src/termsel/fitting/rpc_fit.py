@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -46,7 +46,8 @@ class RpcFit:
     it was refitted with: "the selected", "all 78", "all 78 (small denominators)" or "all 40
     polynomial". Greatest and root mean square distance from the fitted model [px] are over the
     image and the heights, between the places the RPC was fitted to. `excluded_part` says which part
-    of an oblique image the RPC does not follow.
+    of an oblique image the RPC does not follow; `heights` are the least and the largest that it was
+    refitted to, None where it was taken over.
     """
 
     rpc: Rpc
@@ -54,6 +55,7 @@ class RpcFit:
     worst: float
     rms: float
     excluded_part: str = ""
+    heights: tuple[float, float] | None = None
 
 
 def rpc_of(fitted: Fit, heights: tuple[float, float] | None = None) -> RpcFit:
@@ -95,6 +97,24 @@ def rpc_of(fitted: Fit, heights: tuple[float, float] | None = None) -> RpcFit:
     >>> termsel.rpc_of(fitted).rpc.project([[48.5, 34.8, 1850.0]]).shape
     (1, 2)
     """
+    best = closest_rpc(fitted, heights)
+    if best.heights is not None:
+        log.log(logging.INFO if best.worst <= GOOD else logging.WARNING,
+                "RPC: refitted to the model in longitude, latitude and height with %s terms. It "
+                f"differs from the model by at most {best.worst:.2g} px (rms {best.rms:.2g} px), "
+                "over the image and heights from {:.0f} to {:.0f}.".format(*best.heights),
+                best.how)
+        if best.excluded_part:
+            log.warning("Warning: %s. The RPC follows the model in the rest alone.",
+                        best.excluded_part)
+    return best
+
+
+def closest_rpc(fitted: Fit, heights: tuple[float, float] | None = None) -> RpcFit:
+    """Return the RPC of a fitted model as `rpc_of`, without a word on what it loses.
+
+    A map needs one on the way, which nobody asked for.
+    """
     convert = to_wgs84(fitted.control.crs)
     refuse_sky(fitted, "an RPC")
     excluded_part = part_said(fitted)
@@ -129,13 +149,7 @@ def rpc_of(fitted: Fit, heights: tuple[float, float] | None = None) -> RpcFit:
     if not np.isfinite(best.worst):
         raise TermselError("no RPC comes near this model",
                            hint="Export it as geolocation-vrt or gcp-grid-vrt.")
-    log.log(logging.INFO if best.worst <= GOOD else logging.WARNING,
-            "RPC: refitted to the model in longitude, latitude and height with %s terms. It "
-            f"differs from the model by at most {best.worst:.2g} px (rms {best.rms:.2g} px), over "
-            f"the image and heights from {low:.0f} to {high:.0f}.", best.how)
-    if excluded_part:
-        log.warning("Warning: %s. The RPC follows the model in the rest alone.", excluded_part)
-    return best
+    return replace(best, heights=(low, high))
 
 
 def taken_over(fitted: Fit) -> Rpc | None:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-COLUMNS = ("id", "line", "sample", "x", "y", "z", "uncertainty")
+COLUMNS = ("id", "line", "sample", "x", "y", "z", "uncertainty_px")
 GRID = 20
 """Places along either side of the image on which the uncertainty is averaged."""
 

@@ -24,7 +24,7 @@ from termsel.data.coordinates.crs import (
     to_wgs84,
 )
 from termsel.data.rasters import gdal_name, open_raster, refuse_empty_giant, require_rasterio
-from termsel.fitting.rpc_fit import GOOD, RpcFit, rpc_of
+from termsel.fitting.rpc_fit import GOOD, RpcFit, closest_rpc
 from termsel.fitting.sky import NEAR_OR_FAR, why_not_shown
 from termsel.formats.deviation import places_of, say_deviation
 from termsel.formats.heights import Dem, say_difference, surface_of, write_ellipsoidal
@@ -226,7 +226,7 @@ def _rpc(result: Result) -> RpcFit | None:
     """Return the RPC of a result, or None if it is too far from the model."""
     try:
         # Why there is no RPC matters only to those who look for it.
-        rpc_fit = rpc_of(result.fit)
+        rpc_fit = closest_rpc(result.fit)
     except TermselError as error:
         log.debug("%s.", error.what)  # what the map lacks is said when it is written
         return None

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from math import log
+from statistics import NormalDist
+
 from termsel.core.display.numbers import interval, rounded
 from termsel.core.errors import counted
 from termsel.data.record.figures import MANY_INDEPENDENT, Accuracy, Predicted
@@ -12,6 +15,9 @@ _ROUNDING_PX = 1e-9
 """Predicted RMSE [px] below which points without errors leave only rounding."""
 _MEASURABLE = 0.01
 """RMSE [px] below which points were computed: nobody measures so well."""
+
+_RARE = 0.01
+"""Chance of a measured RMSE beyond its prediction, below which the prediction was wrong."""
 
 PREDICTED_BY = "predicted by cross-validation"
 
@@ -128,10 +134,27 @@ def _measured(accuracy: Accuracy) -> str:
 def _agreement(accuracy: Accuracy, predicted: Predicted) -> str:
     """Return whether the measured RMSE lies in the interval of the predicted one."""
     measured = accuracy.image.total
-    # The interval has the level of the prediction, so that one measured value in ten lies outside.
-    if measured > predicted.high:
-        return ": the prediction was too small"
-    return ": the prediction was too large" if measured < predicted.low else ": consistent"
+    if predicted.low <= measured <= predicted.high:
+        return ": consistent"
+    is_above = measured > predicted.high
+    chance = _chance_beyond(measured, predicted)
+    if chance < _RARE:
+        return f": the prediction was too {'small' if is_above else 'large'}"
+    # One measured value in ten lies outside its interval; how far outside tells more.
+    return f": so far {'above' if is_above else 'below'} by chance in {100 * chance:.0f} % of cases"
+
+
+def _chance_beyond(measured: float, predicted: Predicted) -> float:
+    """Return the chance of a measured RMSE so far above, or below, its prediction.
+
+    The interval of the prediction is read as that of a log-normal distribution.
+    """
+    if not 0.0 < predicted.low < predicted.high or measured <= 0.0:
+        return 0.0
+    level = NormalDist().inv_cdf(0.5 + predicted.level / 2.0)
+    spread = log(predicted.high / predicted.low) / (2.0 * level)
+    middle = log(predicted.high * predicted.low) / 2.0
+    return 1.0 - NormalDist().cdf(abs(log(measured) - middle) / spread)
 
 
 def _doubts(record: Record, accuracy: Accuracy) -> list[str]:

@@ -282,12 +282,14 @@ def _legend(record: Record, view: View | None) -> Iterator[str]:
     if record.rmse.leave_one_out is not None:
         yield (f"{LEAVE_ONE_OUT}: each control feature by the fit without it, as "
                f"{record.model} corrects by control")
-    if any("check" in baseline.fitted_to for baseline in baselines):
+    if record.data.counts.check and any("check" in row.fitted_to for row in baselines):
         yield ("* also fitted to the selection points, so their RMSE is a fit"
                + (" (a hollow symbol in the chart)" if view is not None else ""))
     if any(all(rmse.n == 0 for rmse in baseline.rmse.by_role.values()) for baseline in baselines):
         yield "- no redundancy"
     objective = next(iter(record.objectives), "")
+    if not record.data.counts.independent:
+        return  # no column of theirs is to be explained
     if record.strategy or not objective or record.solver == "all-terms":  # nothing was minimised
         yield "Accuracy: the RMSE at independent check points."
     elif objective == "check-rmse":
@@ -307,15 +309,21 @@ def _fits(record: Record) -> TableBlock:
         for of_role in (rmse.check, rmse.independent):
             figures += [_figure(of_role), "{:.3f} to {:.3f}".format(*of_role.interval)
                         if of_role.interval else "-"]
-        rows.append((name + " *" * fitted_to_check, str(n_terms), *figures))
+        has_mark = fitted_to_check and record.data.counts.check > 0
+        rows.append((name + " *" * has_mark, str(n_terms), *figures))
         keys.append(name)
         if rmse.leave_one_out is not None:
             # Leave-one-out is of all control, so that it has one figure and no interval.
             rows.append((f"  {LEAVE_ONE_OUT}", "", _figure(rmse.leave_one_out), *[""] * 4))
             keys.append(name)
-    return TableBlock("RMSE [px], with 90 % intervals", (
-        "fit", "terms", "control", "selection", "interval", "independent check", "interval"), rows,
-        choice="fit", keys=keys, page_only=(4,))
+    header = ("fit", "terms", "control", "selection", "interval", "independent check", "interval")
+    # A role that no feature has takes no column.
+    empty = [first for first in (3, 5) if all(row[first] in ("-", "") for row in rows)]
+    kept = [i for i in range(len(header)) if i not in empty and i - 1 not in empty]
+    return TableBlock("RMSE [px], with 90 % intervals" if len(kept) > 3 else "RMSE [px]",
+                      tuple(header[i] for i in kept),
+                      [tuple(row[i] for i in kept) for row in rows], choice="fit", keys=keys,
+                      page_only=(kept.index(4),) if 4 in kept else ())
 
 
 def _figure(rmse: RoleRmse) -> str:
