@@ -16,7 +16,7 @@ from termsel import (
     SensorModel,
     Undetermined,
 )
-from termsel.toolkit import is_geographic
+from termsel.toolkit.coordinates import is_geographic
 from termsel.toolkit.models import (
     SensorFigure,
     exterior_orientation,
