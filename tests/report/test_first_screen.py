@@ -206,3 +206,11 @@ def test_a_vendor_rpc_is_shown_with_its_shift() -> None:
     assert convert(changed, Record).data.rpc
     assert any(line.startswith("Model     vendor RPC plus shift at the control (-14.00, +9.00 px "
                                "in line, sample)") for line in first_screen(**changed))
+
+
+@pytest.mark.parametrize(("steps", "solvers"), [("features-first", "ga and pso"), ("joint", "ga")])
+def test_the_solver_of_a_second_step_is_told(steps: str, solvers: str) -> None:
+    options = {**record()["options"], "problem": {"steps": steps, "then": "pso"}}
+    screen = "\n".join(first_screen(**SEARCHED, options=options,
+                                    offered={"n_terms": 20, "n_features": 40}))
+    assert f"selected by {solvers}\n" in screen

@@ -202,7 +202,14 @@ def _model(record: Record) -> str:
     if record.stability:
         return f"{text}; stable over {record.stability.repeats} selections"
     everything = (selection.n_terms, selection.n_features) == (offered.n_terms, offered.n_features)
-    return text if everything else f"{text}, selected by {record.solver}"
+    return text if everything else f"{text}, selected by {_solvers(record)}"
+
+
+def _solvers(record: Record) -> str:
+    """Return the solver, and that of the second step if it has its own."""
+    options = record.options.problem
+    second = options.get("then") if options.get("steps", "joint") != "joint" else None
+    return f"{record.solver} and {second}" if second else record.solver
 
 
 def were_selectable(record: Record) -> bool:
