@@ -33,6 +33,8 @@ PAGES: dict[str, tuple[str, ...]] = {
     "short-budgets": ("short_budgets", "--kept", KEPT),
     "best-subsets": ("best_subsets", "--kept", KEPT),
     "flat-control": ("flat_control",),
+    "known-cameras": ("known_cameras", "--kept", KEPT),
+    "map-series": ("sheet_series", "--kept", KEPT),
     "few-points": ("few_points", "--processes", "2", "--kept", KEPT),
     "plan": ("plan", "--processes", "2"),
     "lines": ("lines", "--processes", "2"),

@@ -43,6 +43,9 @@ COLUMN = "sheet_paper"
 UNKNOWNS = 6
 """Of a sheet: the four of its paper, and its place."""
 
+TAILS = 4.0
+"""Degrees of freedom of what an affine map leaves of points: few are wild, as those of photos."""
+
 _STEPS, _ROUNDS = 30, 6
 
 PAPER = Option("paper", "", "Expected scale, turn, stretch and shear, their standard deviations, "
@@ -163,7 +166,7 @@ class BySeries(Estimator):
     def experience(self, fitted: Fit) -> Experience:
         """Return how well the noise is known by the series."""
         assert isinstance(fitted.model, SeriesSheet)
-        return Experience(fitted.model.paper.freedom, UNKNOWNS)
+        return Experience(fitted.model.paper.freedom, UNKNOWNS, TAILS)
 
 
 def posterior_of(paper: Paper, plan: FloatArray, measured: FloatArray,
