@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import logging
+import os
 import re
+import subprocess
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from importlib.util import find_spec
@@ -65,6 +68,23 @@ def dem(path: Path, *, crs: str = "EPSG:4326", above: float = 0.0, unit: float =
         if units:
             raster.units = (units,)
     return path
+
+
+def test_a_dem_is_refused_where_rasterio_cannot_read_the_database_of_proj(tmp_path: Path) -> None:
+    """GDAL then reads a CRS without its vertical part."""
+    raster = dem(tmp_path / "above_geoid.tif", crs="EPSG:4326+5773")
+    code = f"""from pathlib import Path
+from termsel.core.errors import TermselError
+from termsel.formats.heights import open_dem
+try:
+    with open_dem(Path({str(raster)!r}), "EPSG:4979"):
+        pass
+except TermselError as error:
+    print(error)"""
+    done = subprocess.run([sys.executable, "-c", code], text=True, capture_output=True,
+                          check=True, env=os.environ | {"PROJ_DATA": str(tmp_path)})
+    assert "rasterio cannot read PROJ's database" in done.stdout
+    assert f"Unset PROJ_DATA={tmp_path}" in done.stdout
 
 
 def camera() -> Rpc:

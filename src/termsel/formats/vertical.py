@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable, Iterator
 from functools import lru_cache
@@ -44,6 +45,7 @@ _OTHER_NAMES = {"e96": "egm96", "northamericanverticaldatumof1988": "navd88",
                 "meansealevel": "msl"}
 """Names in tags of DTED and of FGDC's metadata, and those that EPSG has for them."""
 _LONGEST_NAME = 7  # words
+_EGM96_HEIGHT = 5773  # a code of EPSG
 
 
 def metres_of_band(raster: Any, crs: CRS, path: Path) -> float:
@@ -83,8 +85,9 @@ def metres_of_band(raster: Any, crs: CRS, path: Path) -> float:
 def with_declared_datum(raster: Any, crs: CRS, path: Path) -> CRS:
     """Return the CRS of a raster with the vertical datum that its tags state, if it has none.
 
-    Raises TermselError if PROJ does not know that.
+    Raises TermselError if PROJ does not know that, or cannot be asked.
     """
+    _require_database(path)
     # A third axis, or a compound CRS, says it by itself.
     if len(crs.axis_info) > 2:
         return crs
@@ -98,6 +101,26 @@ def with_declared_datum(raster: Any, crs: CRS, path: Path) -> CRS:
 
     vertical_crs = CRS.from_user_input(vertical)
     return CompoundCRS(f"{crs.name} + {vertical_crs.name}", [crs, vertical_crs])
+
+
+def _require_database(path: Path) -> None:
+    """Refuse a raster where GDAL cannot read PROJ's database.
+
+    It then drops the vertical part of the raster's CRS without an error.
+    """
+    from rasterio.crs import CRS as RasterCRS
+    from rasterio.errors import CRSError
+
+    try:
+        RasterCRS.from_epsg(_EGM96_HEIGHT)
+    except CRSError as error:
+        named = [f"{name}={os.environ[name]}" for name in ("PROJ_DATA", "PROJ_LIB")
+                 if os.environ.get(name)]
+        raise TermselError(
+            "rasterio cannot read PROJ's database, and so not what the heights of this raster "
+            "refer to", file=path,
+            hint=f"Unset {named[0]}, which names another PROJ." if named else
+            "Install rasterio again.") from error
 
 
 def to_datum_of(crs: str, raster_crs: CRS, path: Path) -> Heights | None:
