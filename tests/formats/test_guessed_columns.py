@@ -16,7 +16,9 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel import TermselError
+from termsel import FeatureSet, Points, TermselError
+from termsel.formats.readers.json_records import PointsJson
+from termsel.testing import check
 
 N = 9
 _rng = np.random.default_rng(11)
@@ -164,6 +166,14 @@ def test_no_guess_puts_map_coordinates_into_an_image(tmp_path: Path) -> None:
 
 RECORDS = [{"id": 9, "map_id": 4, "x": 1145, "y": 825, "lat": "53.38", "lon": "-2.90"},
            {"id": 10, "map_id": 4, "x": 1028, "y": 857, "lat": "53.39", "lon": "-2.91"}]
+
+
+def test_the_reader_of_json_conforms() -> None:
+    records = [{"id": "a", "line": 1.5, "sample": 2.5, "x": 8.1, "y": 47.1, "z": 400.0},
+               {"id": "b", "line": 10.5, "sample": 20.5, "x": 8.2, "y": 47.2, "z": 410.0}]
+    expected = FeatureSet(Points(("a", "b"), np.array([[1.5, 2.5], [10.5, 20.5]]),
+                                 np.array([[8.1, 47.1, 400.0], [8.2, 47.2, 410.0]])), crs="")
+    check(PointsJson(), content=json.dumps(records).encode(), expected=expected, filename="a.json")
 
 
 @pytest.mark.parametrize("tree", [

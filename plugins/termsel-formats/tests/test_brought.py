@@ -252,6 +252,36 @@ def test_options_of_gdal_in_all_their_forms(form: str, tmp_path: Path) -> None:
         same(termsel.read(tmp_path / "a.sh"), "EPSG:32633")
 
 
+def test_two_maps_of_one_image_stay_apart(tmp_path: Path) -> None:
+    """A script of Allmaps has a command a map; several maps may be on one image."""
+    command = f"gdal_translate -of vrt -a_srs EPSG:32633 {gdal('-gcp {} {} {} {} {}')} a.jpg "
+    (tmp_path / "a.sh").write_text(f"{command} first.vrt\n{command} second.vrt\n")
+    assert list(GdalOptions().parts(tmp_path / "a.sh")) == ["a.jpg", "second.vrt"]
+    same(termsel.read(tmp_path / "a.sh", image_name="second.vrt"), "EPSG:32633")
+
+
+def test_exports_of_allmaps(tmp_path: Path) -> None:
+    """The forms of printGcps of its package io: numbers alone, links, and .points."""
+    rows = [(sample + 0.5, line + 0.5, x, y) for (line, sample), (x, y, _)
+            in zip(IMAGE, GROUND, strict=True)]
+    (tmp_path / "gdal.txt").write_text("\n".join(" ".join(map(str, row)) for row in rows))
+    (tmp_path / "arcgis.csv").write_text("\n".join(
+        f"{i},{sample},{-line},{x},{y}" for i, (sample, line, x, y) in enumerate(rows, 1)))
+    (tmp_path / "arcgis.tsv").write_text("\n".join(
+        f"{sample}\t{-line}\t{x}\t{y}" for sample, line, x, y in rows))
+    (tmp_path / "qgis.points").write_text(
+        "#CRS: +proj=utm +zone=33 +datum=WGS84\nmapX,mapY,sourceX,sourceY\n" + "\n".join(
+            f"{x},{y},{sample},{-line}" for sample, line, x, y in rows))
+    for name, options in (("gdal.txt", {"format": "gdal-options"}), ("arcgis.csv", {}),
+                          ("arcgis.tsv", {})):
+        same(termsel.read(tmp_path / name, crs="EPSG:32633", **options), "EPSG:32633",
+             heights=False)
+    same(termsel.read(tmp_path / "qgis.points"), "EPSG:32633", heights=False)
+    # Without the format the numbers alone could be anything: they are asked about.
+    with pytest.raises(TermselError, match="This mapping is a guess"):
+        termsel.read(tmp_path / "gdal.txt", crs="EPSG:32633")
+
+
 def test_links_say_how_they_are_read(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO, logger="termsel")
     (tmp_path / "links.txt").write_text(links())

@@ -21,7 +21,7 @@ import numpy as np
 from termsel import FeatureSet, Option, Reader, Result, TermselError
 from termsel.toolkit import read_text, write_text
 from termsel.toolkit.coordinates import horizontal, normalise
-from termsel.toolkit.files import IMAGE_NAME, image_of, parse_json
+from termsel.toolkit.files import IMAGE_NAME, image_of, is_number, parse_json
 from termsel_formats.points.common import CORNER, points_of
 from termsel_formats.points.written import (
     PointsWriter,
@@ -94,7 +94,12 @@ def _stated_crs(text: str) -> list[str]:
 
 def _joined(path: Path) -> str:
     """Return the text of a script with each command on one line, and GCPs as -gcp has them."""
-    joined = re.sub(r"[\\^`]\s*\n", " ", read_text(path))
+    text = read_text(path)
+    # Allmaps writes the numbers alone, which --format gdal-options tells.
+    rows = [line.split() for line in text.splitlines() if line.strip()]
+    if rows and all(len(row) in (4, 5) and all(map(is_number, row)) for row in rows):
+        return "\n".join(f"-gcp {' '.join(row)}" for row in rows)
+    joined = re.sub(r"[\\^`]\s*\n", " ", text)
     return _OPTION_WITH_COMMAS.sub(lambda option: f"-gcp {option[1].replace(',', ' ')}", joined)
 
 
@@ -112,8 +117,12 @@ def _commands(path: Path) -> dict[str, str]:
     for line in command_lines:
         if not _OPTION.search(line):
             continue
-        named = _IMAGE_FILE.search(_OPTION.sub(" ", line))
-        image = named[1].replace("\\", "/").rpartition("/")[2] if named else ""
+        files = [name.replace("\\", "/").rpartition("/")[2]
+                 for name in _IMAGE_FILE.findall(_OPTION.sub(" ", line))]
+        image = files[0] if files else ""
+        # Each command has the points of a map of its own; an image may have several.
+        if image in commands and re.search(r"\bgdal", line):
+            image = files[1] if len(files) > 1 else f"{image} {len(commands) + 1}"
         commands[image] = f"{commands.get(image, '')} {line}"
     if not commands:
         raise TermselError("this file has no option -gcp with its numbers", file=path,
