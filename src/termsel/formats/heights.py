@@ -351,7 +351,9 @@ def with_heights(features: FeatureSet, dem: Path) -> FeatureSet:
     n = len(features.points)
     statement = (f"{unknown.sum()} of {len(ground)} heights from {printable(dem.name)}, bilinear; "
                  f"vertical datum: {datum}")
-    log.info("Heights: %s.", statement)
+    # Where all heights are known there is nothing to say, image after image of a batch.
+    if unknown.any():
+        log.info("Heights: %s.", statement)
     return replace(
         features, heights=statement, dem_difference=difference,
         points=replace(features.points, ground=ground[:n]),
