@@ -234,11 +234,12 @@ def test_real_photos_are_resected() -> None:
 def test_photos_of_one_flight_share_their_camera(tmp_path: Path) -> None:
     files = []
     for seed in range(4):
-        control, _, _ = photo(7, seed=seed, lens=Lens(-0.03))
-        rows = [f"{name},{line},{sample},{x},{y},{z}" for name, (line, sample), (x, y, z) in zip(
-            control.points.ids, control.points.image, control.points.ground, strict=True)]
+        control, _, _ = photo(8, seed=seed, lens=Lens(-0.03))
+        rows = [f"{name},{'independent' if name == 'P7' else ''},{line},{sample},{x},{y},{z}"
+                for name, (line, sample), (x, y, z) in zip(
+                    control.points.ids, control.points.image, control.points.ground, strict=True)]
         files.append(tmp_path / f"{seed}.csv")
-        files[-1].write_text("\n".join(["id,line,sample,x,y,z", *rows]), encoding="utf-8")
+        files[-1].write_text("\n".join(["id,role,line,sample,x,y,z", *rows]), encoding="utf-8")
     done = invoke("flight-camera", *files, "--crs", CRS, "--size", *SIZE, "--focal", "3600", "-o",
                   tmp_path / "camera.json")
     assert done.exit_code == 0, done.stderr
@@ -247,6 +248,7 @@ def test_photos_of_one_flight_share_their_camera(tmp_path: Path) -> None:
     assert other.exit_code == 2
     assert "0.csv: the image has 500 lines and 600 samples" in other.stderr
     camera = json.loads((tmp_path / "camera.json").read_text("utf-8"))
+    assert camera["source"] == "4 photos, 28 control points"
     assert abs(camera["focal"] / FOCAL - 1.0) < max(3.0 * camera["focal_spread"], 0.01)
     assert abs(camera["distortion"][0] + 0.03) < 0.03
 

@@ -8,7 +8,7 @@ photos is the profile of f and k1: its least value is the shared camera, and whe
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +19,7 @@ from termsel_photos.known.interior import REACH, Interior
 from termsel_photos.known.lens import FloatArray
 from termsel_photos.known.method import is_mirrored
 from termsel_photos.known.model import KnownFrame
+from termsel_photos.roles import without_independent
 
 MIN_POINTS_OF_PHOTO = 4
 """Points of a photo from which on it says something of its camera."""
@@ -34,6 +35,12 @@ DISTORTIONS = (-0.1, -0.05, -0.02, 0.0, 0.02, 0.05)
 
 HELD = 1e-6
 """Relative standard deviation that holds a focal length where it is tried."""
+
+WIDTHS = (0.02, 0.01)
+"""Differences of log f and of k1 by which the cost is bent at first."""
+
+FARTHEST, ROUNDS = 4.0, 6
+"""Largest step, by these, and how many are taken."""
 
 USUAL_DISTORTION = 0.03
 """Standard deviation of k1 beforehand."""
@@ -73,7 +80,7 @@ def shared_camera(photos: Sequence[FeatureSet], size: tuple[int, int],
     ----------
     photos : sequence of FeatureSet
         With heights, each of `MIN_POINTS_OF_PHOTO` points at least; others say nothing and are left
-        out.
+        out, as are independent check points.
     size : tuple of int
         Lines and samples of all photos.
     focal : float, optional
@@ -84,7 +91,8 @@ def shared_camera(photos: Sequence[FeatureSet], size: tuple[int, int],
     TermselError
         If no photo tells the camera.
     """
-    data = [FitData.of(replace(photo, image_size=size)) for photo in photos
+    data = [FitData.of(replace(photo, image_size=size))
+            for photo in map(without_independent, photos)
             if len(photo.points) >= MIN_POINTS_OF_PHOTO and not photo.without_height()]
     if not data:
         raise TermselError(f"no photo has {MIN_POINTS_OF_PHOTO} control points with heights",
@@ -96,23 +104,15 @@ def shared_camera(photos: Sequence[FeatureSet], size: tuple[int, int],
         ends = (0.8 * focal, 1.25 * focal)
     step = (ends[1] / ends[0]) ** (1.0 / (FOCALS_TRIED - 1))
     best = flight.least(np.geomspace(*ends, FOCALS_TRIED), 0.0)
-    k1 = 0.0
-    # In turns the distortion with the focal length held, then the focal length with the distortion
-    # held, by ever smaller steps.
-    for _ in range(2):
-        costs = np.array([flight.cost(best, distortion)[0] + (distortion / USUAL_DISTORTION) ** 2
-                          for distortion in DISTORTIONS])
-        k1 = _vertex(np.array(DISTORTIONS), costs)[0]
-        best = flight.least(best * np.geomspace(1.0 / step, step, FOCALS_TRIED_NEAR), k1)
-        step = step ** 0.4
-    near = best * np.exp(np.array([-0.01, 0.0, 0.01]))
-    # The cost is -2 log likelihood: near its least it is (log f - centre)^2 / s^2, so that twice
-    # its curvature gives the standard deviation s.
-    centre, bent = _vertex(np.log(near), np.array([flight.cost(at, k1)[0] for at in near]))
-    spread = float(np.clip(1.0 / np.sqrt(max(bent, 1e-9)), 1e-4, 0.1))
-    shared_focal = float(np.exp(centre))
-    sigma = flight.cost(shared_focal, k1)[1]
-    return SharedCamera(shared_focal, spread, float(k1), sigma, photos=len(data),
+    best = flight.least(best * np.geomspace(1.0 / step, step, FOCALS_TRIED_NEAR), 0.0)
+    costs = np.array([flight.penalised_cost(best, distortion) for distortion in DISTORTIONS])
+    start = np.array([np.log(best), DISTORTIONS[int(np.argmin(costs))]])
+    solution, covariance = _least_of_two(
+        lambda values: flight.penalised_cost(float(np.exp(values[0])), float(values[1])), start)
+    shared_focal = float(np.exp(solution[0]))
+    spread = float(np.clip(np.sqrt(covariance[0, 0]), 1e-4, 0.1))
+    sigma = flight.cost(shared_focal, float(solution[1]))[1]
+    return SharedCamera(shared_focal, spread, float(solution[1]), sigma, photos=len(data),
                         points=sum(len(photo) for photo in data))
 
 
@@ -149,6 +149,10 @@ class _Flight:
             squares.append((camera.sigma * photo.scaling.image_scale) ** 2)
         return total, float(np.sqrt(np.median(squares)))
 
+    def penalised_cost(self, focal: float, k1: float) -> float:
+        """Return the costs of all photos and that of a distortion, which is small beforehand."""
+        return self.cost(focal, k1)[0] + (k1 / USUAL_DISTORTION) ** 2
+
     def _model(self, i: int, focal: float, k1: float) -> KnownFrame:
         """Return the model of a photo with a focal length and a distortion that are held."""
         photo = self.photos[i]
@@ -172,16 +176,33 @@ class _Flight:
         return camera_next_to(measured, start) or camera_of(measured)
 
 
-def _vertex(at: FloatArray, costs: FloatArray) -> tuple[float, float]:
-    """Return where a parabola through the least cost and its neighbours is least, and its bend.
+def _least_of_two(cost: Callable[[FloatArray], float],
+                  start: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return where a cost of log f and k1 is least, and their covariance (2, 2).
 
-    The bend is half of the second derivative: where the cost is larger by 1.
+    Newton steps by differences: a longer focal length and a distortion do nearly the same to a
+    photo, so that neither can be found with the other held.
     """
-    finite = np.isfinite(costs)
-    i = int(np.clip(np.argmin(np.where(finite, costs, np.inf)), 1, len(at) - 2))
-    if not finite[i - 1:i + 2].all():
-        return float(at[np.argmin(np.where(finite, costs, np.inf))]), 0.0
-    a, b, _ = np.polyfit(at[i - 1:i + 2] - at[i], costs[i - 1:i + 2], 2)
-    if a <= 0.0:
-        return float(at[np.argmin(costs)]), 0.0
-    return float(np.clip(at[i] - b / (2.0 * a), at[i - 1], at[i + 1])), float(a)
+    best = start
+    least = cost(best)
+    widths = np.array(WIDTHS)
+    covariance = np.diag(widths**2)
+    for _ in range(ROUNDS):
+        ahead = np.array([cost(best + step) for step in np.diag(widths)])
+        behind = np.array([cost(best - step) for step in np.diag(widths)])
+        both = cost(best + widths)
+        if np.isfinite([*ahead, *behind, both]).all():
+            slopes = (ahead - behind) / 2.0
+            bends = np.diag(ahead + behind - 2.0 * least)
+            bends[0, 1] = bends[1, 0] = both - ahead.sum() + least
+            if np.linalg.eigvalsh(bends)[0] > 0.0:
+                # The cost is -2 log likelihood, so that its Hessian is twice the inverse of theirs.
+                covariance = 2.0 * np.linalg.inv(bends) * np.outer(widths, widths)
+                step = np.clip(-np.linalg.solve(bends, slopes), -FARTHEST, FARTHEST) * widths
+                stepped = cost(best + step)
+                if stepped < least:
+                    best, least = best + step, stepped
+                    if (np.abs(step) > widths).any():
+                        continue
+        widths = widths / 2.0
+    return best, covariance

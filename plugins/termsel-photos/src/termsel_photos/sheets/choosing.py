@@ -9,6 +9,7 @@ import numpy as np
 
 from termsel import FeatureSet, FitData, TermselError
 from termsel.toolkit.models import Auto
+from termsel_photos.roles import without_independent
 from termsel_photos.sheets.candidates import Projection
 
 NEARLY = 1.1
@@ -44,7 +45,7 @@ def tried_projections(sheets: Sequence[FeatureSet],
     were drawn in one projection, so that the product of their squared errors counts, each to the
     power of its number of points: a sheet of few points borrows from the others.
     """
-    used_sheets = [_choosing_part(sheet) for sheet in sheets]
+    used_sheets = [without_independent(sheet) for sheet in sheets]
     used_sheets = [sheet for sheet in used_sheets if len(sheet.points) >= MIN_POINTS_OF_SHEET]
     if not used_sheets:
         raise TermselError(f"no map has the {MIN_POINTS_OF_SHEET} points that tell projections "
@@ -71,13 +72,6 @@ def chosen_of(ranked: Sequence[Tried], candidates: Sequence[Projection],
              if projection.rmse <= nearly * best}
     return next(nearly_best[candidate.crs] for candidate in candidates
                 if candidate.crs in nearly_best)
-
-
-def _choosing_part(features: FeatureSet) -> FeatureSet:
-    points = features.points
-    roles = points.roles or ("",) * len(points)
-    return features.with_(points=points.take(
-        [role not in ("independent", "off") for role in roles]))
 
 
 def _predicted(features: FeatureSet, crs: str) -> float:

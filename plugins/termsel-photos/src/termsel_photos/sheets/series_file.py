@@ -13,6 +13,7 @@ import numpy as np
 from termsel import FeatureSet, TermselError
 from termsel.toolkit import read_text
 from termsel.toolkit.coordinates import normalise
+from termsel_photos.roles import without_independent
 from termsel_photos.sheets.paper import NAMES, Paper, Sheet, marks_of, paper_of, sheet_of
 from termsel_photos.sheets.series import with_paper
 
@@ -46,15 +47,8 @@ class Series:
 def series_of(sheets: Sequence[FeatureSet], projection: str) -> Series:
     """Return the series of sheets in their projection. Independent check points take no part."""
     fitted = [replace(sheet, fit_crs=projection) if projection else sheet for sheet in sheets]
-    told = [sheet_of(_without_independent(sheet)) for sheet in fitted]
+    told = [sheet_of(without_independent(sheet)) for sheet in fitted]
     return Series(projection, tuple(sheet for sheet in told if sheet is not None))
-
-
-def _without_independent(features: FeatureSet) -> FeatureSet:
-    points = features.points
-    roles = points.roles or ("",) * len(points)
-    return features.with_(points=points.take(
-        [role not in ("independent", "off") for role in roles]))
 
 
 def read_series(path: Path | str) -> Series:
