@@ -16,13 +16,9 @@ from termsel import (
     SensorModel,
     Undetermined,
 )
+from termsel.toolkit import SensorFigure, exterior_orientation
 from termsel.toolkit.coordinates import is_geographic
-from termsel.toolkit.models import (
-    SensorFigure,
-    exterior_orientation,
-    pinhole_of,
-    view_of,
-)
+from termsel.toolkit.models import pinhole_of, view_of
 from termsel_scanner.candidate import sensor_of
 from termsel_scanner.orbit import axes_at, geocentric
 from termsel_scanner.physical import FloatArray, Physical, RobustFit, known

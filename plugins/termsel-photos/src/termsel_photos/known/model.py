@@ -16,17 +16,9 @@ from termsel import (
     Undetermined,
     image_equations,
 )
+from termsel.toolkit import SensorFigure, exterior_orientation
 from termsel.toolkit.coordinates import LOCAL, is_geographic, to_ecef
-from termsel.toolkit.models import (
-    Cameras,
-    Measured,
-    Pinhole,
-    SensorFigure,
-    camera_of,
-    cameras_of,
-    exterior_orientation,
-    rotations,
-)
+from termsel.toolkit.models import Cameras, Measured, Pinhole, camera_of, cameras_of, rotations
 from termsel_photos.known.interior import STATED_REACH, Interior, interior_of_file
 from termsel_photos.known.lens import FloatArray, Lens
 from termsel_photos.known.turns import vector_of
