@@ -14,8 +14,8 @@ import pytest
 import termsel
 
 ROOT = Path(__file__).parents[2]
-MODULES = ("termsel", "termsel.simulate", "termsel.testing", "termsel_sklearn",
-           "termsel_optimisers")
+MODULES = ("termsel", "termsel.simulate", "termsel.testing", "termsel.testing.problems",
+           "termsel_sklearn", "termsel_optimisers")
 FOREIGN = ("sklearn", "builtins", "enum")
 
 

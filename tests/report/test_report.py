@@ -123,7 +123,8 @@ def test_every_chart_is_one_altair_chart_that_says_what_to_look_for(
             assert isinstance(chart, altair.TopLevelMixin)
             spec = chart.to_dict()
             assert spec["title"]["text"] == kind.title
-            assert " ".join(spec["title"]["subtitle"]) == kind.look
+            assert " ".join(spec["title"]["subtitle"]) == kind.caption(result.view)
+            assert kind.caption(result.view).startswith(kind.look)
             drawn.add(kind.name)
     assert drawn == set(KINDS) == set(plot.CHART_NAMES)
 
