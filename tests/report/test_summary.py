@@ -29,7 +29,7 @@ from tests.records import (
         "Problem rfm-terms. Model poly3d, solver ga, criterion check-rmse, seed 4; termsel 9.9"]),
     (share(1.0), []),
     (share(0.67), [
-        "Limit: terms number at most 67 % of their equations; --set max_share=1 removes it"]),
+        "Limit: the terms are at most 67 % as many as the equations; --set max_share=1 removes it"]),
     ({"polish": {"found": 1.23456, "polished": 1.1, "evaluations": 1500, "lookups": 0}}, [
         "Local refinement: press 1.235 as ga found it, 1.1 after it (1500 evaluations)"]),
     ({"polish": {"found": 2.0, "polished": 2.0, "evaluations": 1, "lookups": 0}}, [

@@ -60,7 +60,9 @@
       if (Math.abs(side - now) >= 1) view.signal("child_width", side).resize().runAsync();
       return;
     }
-    const around = svg.width.baseVal.value - view.width();
+    // What axes take: a legend that is wider than the chart would count as theirs.
+    view.around = Math.min(view.around ?? Infinity, svg.width.baseVal.value - view.width());
+    const { around } = view;
     const ratio = Number(element.dataset.ratio);
     const wide = Math.max(120, Math.min(ratio ? 620 : 720, element.clientWidth - around));
     if (Math.abs(wide - view.width()) < 1) return;
@@ -71,7 +73,10 @@
 
   const draw = async (element) => {
     const spec = specs[element.dataset.chart];
-    if (spec.columns && element.clientWidth < 480) spec.columns = 1;
+    if (element.clientWidth < 480) {
+      if (spec.columns) spec.columns = 1;
+      spec.config.legend.columns = 3;
+    }
     const { view } = await window.termselEmbed(element, spec, {
       ast: true, actions: false, renderer: "svg", defaultStyle: false, mode: "vega-lite",
       tooltip: { disableDefaultStyle: true } });

@@ -146,25 +146,35 @@ def _figure(figure: Figure, specs: dict[str, Any]) -> str:
 def _table(table: TableBlock) -> str:
     """Return a table as HTML."""
     # The first column is the head of its row, which has a style of its own.
-    word_classes = [""]
-    for i in range(1, len(table.columns)):
-        word_classes.append(' class="words"' if table.has_words(i) else "")
-    heads = [f'<th scope="col"{word_class}>{_text(name)}</th>' if name else "<td></td>"
-             for name, word_class in zip(table.columns, word_classes, strict=True)]
+    classes = ["", *(_column_class(table, i) for i in range(1, len(table.columns)))]
+    heads = [f'<th scope="col"{column_class}>{_text(name)}</th>' if name else "<td></td>"
+             for name, column_class in zip(table.columns, classes, strict=True)]
     if table.pictures:
         heads.insert(1, '<th scope="col" class="words">residuals</th>')
     choice = f' data-choice="{_text(table.choice)}"' if table.choice else ""
-    rows = [_row(table, i, word_classes) for i in range(len(table.rows))]
+    # On a narrow screen text beside numbers would leave it.
+    is_listed = bool(table.pictures) or ' class="words"' in classes
+    listed = ' class="listed"' if is_listed else ""
+    rows = [_row(table, i, classes, is_listed) for i in range(len(table.rows))]
     caption = _text(table.caption)
-    table_html = (f'<div class="scroll" tabindex="0"><table{choice}><caption><span>{caption}</span>'
-                  f"</caption><thead><tr>{''.join(heads)}</tr></thead><tbody>\n"
+    table_html = (f'<div class="scroll" tabindex="0"><table{listed}{choice}><caption><span>'
+                  f"{caption}</span></caption><thead><tr>{''.join(heads)}</tr></thead><tbody>\n"
                   + "\n".join(rows) + "\n</tbody></table></div>")
     if table.folded:
         return f"<details><summary>{caption}</summary>{table_html}</details>"
     return table_html
 
 
-def _row(table: TableBlock, i: int, word_classes: Sequence[str]) -> str:
+def _column_class(table: TableBlock, column: int) -> str:
+    """Return the class of the cells of a column, as an attribute."""
+    if table.has_words(column):
+        return ' class="words"'
+    if column in table.page_only:  # too wide for a narrow screen as for a text
+        return ' class="beyond"'
+    return ' class="range"' if table.columns[column] == "interval" else ""
+
+
+def _row(table: TableBlock, i: int, classes: Sequence[str], is_listed: bool) -> str:
     """Return a row of a table: its head, which may be a button that picks it, and its cells."""
     name, *texts = map(_text, table.rows[i])
     attributes = ' class="marked"' if i == table.marked else ""
@@ -172,8 +182,10 @@ def _row(table: TableBlock, i: int, word_classes: Sequence[str]) -> str:
         attributes += f' data-key="{_text(drawable(json.dumps(table.keys[i])))}"'
         name = f'<button type="button">{name}</button>'
     picture = f'<td class="picture">{table.pictures[i]}</td>' if table.pictures else ""
-    cells = [f"<td{word_class}>{text}</td>"
-             for text, word_class in zip(texts, word_classes[1:], strict=True)]
+    heads = [f' data-head="{_text(head)}"' if is_listed and head else ""
+             for head in table.columns[1:]]
+    cells = [f"<td{column_class}{head}>{text}</td>"
+             for text, head, column_class in zip(texts, heads, classes[1:], strict=True)]
     return f'<tr{attributes}><th scope="row">{name}</th>{picture}{"".join(cells)}</tr>'
 
 

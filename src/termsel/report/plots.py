@@ -74,11 +74,11 @@ KINDS = {kind.name: kind for kind in (
         "residuals", "Residuals in the image",
         "Arrows should point in all directions. If neighbours agree, the model lacks a term; a "
         "single long arrow is a blunder.", maps.image_map, keeps_ratio=True,
-        remark=lambda view: view.partly),
+        remark=maps.cut_in_image),
     ChartKind(
         "ground", "Residuals on the ground",
         "A common direction over a slope or a district points to wrong heights or a wrong datum.",
-        maps.ground_map, keeps_ratio=True, remark=lambda view: view.partly),
+        maps.ground_map, keeps_ratio=True, remark=maps.cut_on_ground),
     ChartKind(
         "worst", "The largest residuals",
         "The list should fall off smoothly. A step after the first few bars separates blunders "

@@ -105,14 +105,14 @@ def _search(record: Record) -> Iterator[Block]:
             for name, value in parameters.items())
     max_share = _max_share(record)
     if max_share < 1:
-        yield (f"Limit: terms number at most {100 * max_share:.0f} % of their equations; --set "
-               "max_share=1 removes it")
-    yield (f"Search: {counted(record.evaluations, 'evaluation')} ({record.lookups} from the "
+        yield (f"Limit: the terms are at most {100 * max_share:.0f} % as many as the equations; "
+               "--set max_share=1 removes it")
+    yield (f"Search: {amount(record.evaluations, 'evaluation')} ({record.lookups:,} from the "
            f"cache), {counted(record.generations, 'generation')}, {record.seconds:.1f} s")
     if refined := record.polish:
         yield (f"Local refinement: {record.criterion} {refined.found:.4g} as "
                f"{record.solver} found it, {refined.polished:.4g} after it "
-               f"({counted(refined.evaluations, 'evaluation')})")
+               f"({amount(refined.evaluations, 'evaluation')})")
 
 
 def _max_share(record: Record) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,95 @@ WIDEST = 3.0
 """Width of a map in heights, at most."""
 VECTOR_ROUNDING = 1e-9
 """Median vector, in widths of the map, up to which residuals are rounding and not exaggerated."""
+ORDINARY = 3.0
+"""Median vectors; a map has room for arrows up to this length, and cuts longer ones at its rim."""
+SIGMA_SPREAD = 2.0
+"""Largest colour of the map of uncertainty, in times the smallest, at least."""
+
+
+@dataclass(frozen=True)
+class Extent:
+    """What a map shows, in its own coordinates.
+
+    Parameters
+    ----------
+    x, y : tuple of float
+        Least and greatest x (samples) and y (lines).
+    scale : float
+        How many times its true length a residual is drawn.
+    """
+
+    x: tuple[float, float]
+    y: tuple[float, float]
+    scale: float
+
+    def cuts(self, rows: list[Row], at: tuple[str, str], vector: tuple[str, str]) -> bool:
+        """Return whether the arrow of a row would leave the map."""
+        for row in rows:
+            for (low, high), position, component in zip((self.x, self.y), at, vector, strict=True):
+                if not low <= row[position] + self.scale * row[component] <= high:
+                    return True
+        return False
+
+
+def image_extent(view: View) -> Extent:
+    """Return what the map of the image shows, with room for arrows of ordinary length."""
+    top, left_sample, bottom, right_sample = view.image_box
+    wide = max(right_sample - left_sample, 1.0)
+    high = max(bottom - top, 1.0)
+    margin = MAP_MARGIN * max(wide, high)
+    # Points in a row leave no room for arrows across it; room is added up to the widest map.
+    above = max(margin, (wide / WIDEST - high) / 2)
+    # Of all residuals, not of a chosen member, so that members can be compared by their arrows.
+    lengths = [float(np.hypot(row["dl"], row["ds"])) for row in view.in_image]
+    scale = _exaggeration(lengths, wide)
+    ends = [(row["sample"] + scale * row["ds"], row["line"] + scale * row["dl"])
+            for row, length in zip(view.in_image, lengths, strict=True)
+            if length <= ORDINARY * float(np.median(lengths))]
+    return Extent(
+        _reach([left_sample - margin, right_sample + margin], [sample for sample, _ in ends]),
+        _reach([top - above, bottom + above], [line for _, line in ends]), scale)
+
+
+def ground_extent(view: View) -> Extent:
+    """Return what the map of the ground shows, with room for arrows of ordinary length."""
+    west, south, east, north = view.ground_box
+    wide = max(east - west, 1e-9)
+    tall = max(north - south, 1e-9)
+    # A degree of longitude is shorter than one of latitude: lengths on the map are in units of y.
+    margin = MAP_MARGIN * max(wide * view.flattening, tall)
+    across = margin / view.flattening
+    lengths = [float(np.hypot(row["dx"] * view.flattening, row["dy"])) for row in view.on_ground]
+    scale = _exaggeration(lengths, tall)
+    ends = [(row["x"] + scale * row["dx"], row["y"] + scale * row["dy"])
+            for row, length in zip(view.on_ground, lengths, strict=True)
+            if length <= ORDINARY * float(np.median(lengths))]
+    low, high = _reach([south, north + margin], [y for _, y in ends])
+    # The bar of the scale lies below all of them.
+    return Extent(_reach([west - across, east + across], [x for x, _ in ends]),
+                  (low - 2 * margin, high), scale)
+
+
+def _reach(values: list[float], more: list[float]) -> tuple[float, float]:
+    """Return the least and the greatest of all values."""
+    return min(*values, *more), max(*values, *more)
+
+
+def cut_in_image(view: View) -> str:
+    """Return what is said of the arrows over the image."""
+    cuts = image_extent(view).cuts(view.in_image, ("sample", "line"), ("ds", "dl"))
+    return _remark(view, cuts)
+
+
+def cut_on_ground(view: View) -> str:
+    """Return what is said of the arrows on the ground."""
+    cuts = ground_extent(view).cuts(view.on_ground, ("x", "y"), ("dx", "dy"))
+    return _remark(view, cuts)
+
+
+def _remark(view: View, cuts: bool) -> str:
+    dashed = "Dashed arrows are longer than drawn: they would leave the chart." if cuts else ""
+    return f"{dashed} {view.partly}".strip()
 
 
 def image_map(view: View, image: str = "", rows: list[Row] | None = None,
@@ -49,18 +139,13 @@ def image_map(view: View, image: str = "", rows: list[Row] | None = None,
     """
     alt = require_altair()
     top, left_sample, bottom, right_sample = view.image_box
-    wide = max(right_sample - left_sample, 1.0)
-    high = max(bottom - top, 1.0)
-    margin = MAP_MARGIN * max(wide, high)
-    # Points in a row leave no room for arrows across it; room is added up to the widest map.
-    above = max(margin, (wide / WIDEST - high) / 2)
+    extent = image_extent(view)
     rows = view.in_image if rows is None else rows
     x = alt.X("sample:Q", title="sample [px]", axis=alt.Axis(grid=False, tickCount=6),
-              scale=alt.Scale(domain=[left_sample - margin, right_sample + margin], nice=False,
-                              zero=False))
+              scale=alt.Scale(domain=list(extent.x), nice=False, zero=False))
     y = alt.Y("line:Q", title="line [px]", axis=alt.Axis(grid=False, tickCount=6),
               # Lines are counted downwards.
-              scale=alt.Scale(domain=[bottom + above, top - above], nice=False, zero=False))
+              scale=alt.Scale(domain=list(extent.y)[::-1], nice=False, zero=False))
     frame = alt.Chart(chart_rows([{"line": top, "sample": left_sample, "line2": bottom,
                                    "sample2": right_sample, "url": image}]))
     ends = {"x": x, "y": y, "x2": "sample2:Q", "y2": "line2:Q"}
@@ -73,43 +158,36 @@ def image_map(view: View, image: str = "", rows: list[Row] | None = None,
                 strokeDash=alt.condition("datum.blunder", alt.value([4, 3]),
                                          alt.value([1, 0])),
                 tooltip=[alt.Tooltip("id:N", title="line")], **ends))
-    # Of all residuals, not of the chosen member, so that members can be compared by their arrows.
-    scale = _exaggeration([float(np.hypot(row["dl"], row["ds"])) for row in view.in_image], wide)
-    layers += _arrows(view, rows, x, y, ("ds", "dl"), scale, downwards=True, member=member)
-    length = nice(0.2 * wide / scale)  # a pixel may be wider than the map
-    length = 1.0 if length > 1 and scale > 0.02 * wide else length  # or too short to be seen
-    layers.append(_bar(left_sample, bottom + 0.55 * above, length, f"{length:g} px", "sample",
-                       "line", x, y))
-    return _map(layers, (wide + 2 * margin) / (high + 2 * above))
+    layers += _arrows(view, rows, x, y, ("ds", "dl"), extent, downwards=True, member=member)
+    wide = max(right_sample - left_sample, 1.0)
+    length = nice(0.2 * wide / extent.scale)  # a pixel may be wider than the map
+    length = 1.0 if length > 1 and extent.scale > 0.02 * wide else length  # or too short to be seen
+    below = extent.y[1] - 0.02 * (extent.y[1] - extent.y[0])
+    layers.append(_bar(left_sample, below, length, f"{length:g} px", "sample", "line", x, y))
+    return _map(layers, (extent.x[1] - extent.x[0]) / (extent.y[1] - extent.y[0]))
 
 
 def ground_map(view: View) -> Any:
     """Return residuals as arrows on the ground, in the CRS of the control."""
     alt = require_altair()
     rows = view.on_ground
-    west, south, east, north = view.ground_box
-    wide = max(east - west, 1e-9)
-    tall = max(north - south, 1e-9)
-    # A degree of longitude is shorter than one of latitude: lengths on the map are in units of y.
-    margin = MAP_MARGIN * max(wide * view.flattening, tall)
-    across = margin / view.flattening
+    west, _, east, _ = view.ground_box
+    extent = ground_extent(view)
     of_x, of_y = _axes(view)
     x = alt.X("x:Q", title=of_x, axis=alt.Axis(grid=False, tickCount=5),
-              scale=alt.Scale(domain=[west - across, east + across], nice=False, zero=False))
+              scale=alt.Scale(domain=list(extent.x), nice=False, zero=False))
     y = alt.Y("y:Q", title=of_y, axis=alt.Axis(grid=False, tickCount=6),
-              scale=alt.Scale(domain=[south - 2 * margin, north + margin], nice=False,
-                              zero=False))
-    scale = _exaggeration([float(np.hypot(row["dx"] * view.flattening, row["dy"]))
-                           for row in rows], tall)
-    layers = _arrows(view, rows, x, y, ("dx", "dy"), scale, downwards=False,
+              scale=alt.Scale(domain=list(extent.y), nice=False, zero=False))
+    layers = _arrows(view, rows, x, y, ("dx", "dy"), extent, downwards=False,
                      # Without metres the length of the arrows has no scale.
                      metres=view.units_per_metre is not None, flat=view.flattening)
     if view.units_per_metre is not None:
         metre = view.units_per_metre / view.flattening
-        length = nice(0.2 * wide / (scale * metre))
-        layers.append(_bar(west, south - 1.3 * margin, length * metre,
-                           f"{length:g} m", "x", "y", x, y))
-    return _map(layers, (wide * view.flattening + 2 * margin) / (tall + 3 * margin))
+        length = nice(0.2 * max(east - west, 1e-9) / (extent.scale * metre))
+        below = extent.y[0] + 0.025 * (extent.y[1] - extent.y[0])
+        layers.append(_bar(west, below, length * metre, f"{length:g} m", "x", "y", x, y))
+    across = (extent.x[1] - extent.x[0]) * view.flattening
+    return _map(layers, across / (extent.y[1] - extent.y[0]))
 
 
 def sigma_map(view: View) -> Any:
@@ -122,7 +200,11 @@ def sigma_map(view: View) -> Any:
               scale=alt.Scale(domain=[left_sample, right_sample], nice=False, zero=False))
     y = alt.Y("line:Q", title="line [px]", axis=axis,
               scale=alt.Scale(domain=[bottom, top], nice=False, zero=False))
-    colour = alt.Color("sigma:Q", scale=alt.Scale(scheme="viridis", reverse=True),
+    # Where all is alike, no area is dark.
+    least = min(cell["sigma"] for cell in cells)
+    most = max(SIGMA_SPREAD * least, *(cell["sigma"] for cell in cells))
+    colour = alt.Color("sigma:Q", scale=alt.Scale(scheme="viridis", reverse=True,
+                                                  domain=[least, most]),
                        legend=alt.Legend(title="standard deviation [px]", gradientLength=220))
     layers = [
         alt.Chart(chart_rows(cells)).mark_rect(strokeWidth=0, clip=True, aria=False).encode(
@@ -145,13 +227,14 @@ def _map(layers: list[Any], aspect: float) -> Any:
 
 
 def _arrows(view: View, rows: list[Row], x: Any, y: Any, vector: tuple[str, str],
-            scale: float, *, downwards: bool, metres: bool = False, flat: float = 1.0,
+            extent: Extent, *, downwards: bool, metres: bool = False, flat: float = 1.0,
             member: Any = None) -> list[Any]:
     """Return the layers of arrows with a scale to drag, of symbols, of rings and of a choice."""
     alt = require_altair()
     horizontal, vertical = vector
     # Channels are written "field:type".
     at_x, at_y = (channel.shorthand.partition(":")[0] for channel in (x, y))
+    scale = extent.scale
     drag = alt.param(name="exaggeration", value=scale, bind=alt.binding_range(
         min=0, max=3 * scale, step=scale / 50, name="Length of arrows [times true length] "))
     picked = alt.selection_point(name="picked", fields=["id"], empty=False)
@@ -167,9 +250,13 @@ def _arrows(view: View, rows: list[Row], x: Any, y: Any, vector: tuple[str, str]
             role=f"datum.role != 'control' && datum.role != 'left out' ? datum.role : "
                  f"datum.uses[{number}] ? 'control' : 'left out'")
     base = base.transform_calculate(
-        end_x=f"datum.{at_x} + exaggeration * datum.{horizontal}",
+        # The share of an arrow that lies within the map.
+        drawn=f"max(0, min(1, {_to_rim(at_x, horizontal, extent.x)}, "
+              f"{_to_rim(at_y, vertical, extent.y)}))",
+    ).transform_calculate(
+        end_x=f"datum.{at_x} + datum.drawn * exaggeration * datum.{horizontal}",
         # The angle of the wedge, clockwise from upwards, as Vega measures it.
-        end_y=f"datum.{at_y} + exaggeration * datum.{vertical}",
+        end_y=f"datum.{at_y} + datum.drawn * exaggeration * datum.{vertical}",
         turn=f"atan2({flat:.6g} * datum.{horizontal}, {'-' if downwards else ''}datum.{vertical})"
              " * 180 / PI")
     colour = _colour(view, rows)
@@ -182,8 +269,9 @@ def _arrows(view: View, rows: list[Row], x: Any, y: Any, vector: tuple[str, str]
     # From below to above: arrows, rings of blunders and of the choice, points, lines.
     layers = [
         base.mark_rule(strokeWidth=1.5, clip=True, aria=False).encode(
-            x=x, y=y, x2="end_x:Q", y2="end_y:Q", color=colour),
-        base.mark_point(shape="wedge", filled=True, size=110, opacity=1, clip=True,
+            x=x, y=y, x2="end_x:Q", y2="end_y:Q", color=colour,
+            strokeDash=alt.condition("datum.drawn < 1", alt.value([5, 3]), alt.value([1, 0]))),
+        base.mark_point(shape="wedge", filled=True, size=110, opacity=1,
                         aria=False).encode(
             x=_of(x, "end_x"), y=_of(y, "end_y"), color=colour,
             angle=alt.Angle("turn:Q", scale=None)),
@@ -207,6 +295,14 @@ def _arrows(view: View, rows: list[Row], x: Any, y: Any, vector: tuple[str, str]
         layers[-1] = layers[-1].add_params(member)
     layers[0] = layers[0].add_params(drag)
     return layers
+
+
+def _to_rim(position: str, component: str, domain: tuple[float, float]) -> str:
+    """Return how often an arrow fits between its point and the rim it points to, for Vega."""
+    length = f"(exaggeration * datum.{component})"
+    low, high = domain
+    return (f"({length} > 0 ? ({high:.12g} - datum.{position}) / {length} : "
+            f"{length} < 0 ? ({low:.12g} - datum.{position}) / {length} : 1)")
 
 
 def _bar(x0: float, y0: float, length: float, text: str, at_x: str, at_y: str, x: Any, y: Any,
