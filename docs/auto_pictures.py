@@ -12,6 +12,7 @@ from gallery import small
 
 import termsel
 from termsel.io.example import write_example
+from termsel.report.plots import save
 
 TARGET = Path(__file__).parent / "_static"
 PICTURES = {
@@ -30,7 +31,7 @@ def main() -> None:
         for picture, (points, kind) in PICTURES.items():
             result = termsel.run(features=termsel.read(folder / points))
             path = TARGET / f"{picture}.svg"
-            getattr(result.plot, kind)().save(path)
+            save(getattr(result.plot, kind)(), path)
             path.write_text(small(path.read_text("utf-8")), encoding="utf-8")
 
 

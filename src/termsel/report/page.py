@@ -33,6 +33,9 @@ from termsel.report.library import library
 from termsel.report.pictures import drawable
 from termsel.report.theme import dark_style, styled
 
+MOST_COLUMNS = 8
+"""Of a table on a narrow screen; one with more has its cells one below the other there."""
+
 
 def page(document: Document) -> str:
     """Return what is shown of a result or a study as a page of HTML.
@@ -152,8 +155,9 @@ def _table(table: TableBlock) -> str:
     if table.pictures:
         heads.insert(1, '<th scope="col" class="words">residuals</th>')
     choice = f' data-choice="{_text(table.choice)}"' if table.choice else ""
-    # On a narrow screen text beside numbers would leave it.
-    is_listed = bool(table.pictures) or ' class="words"' in classes
+    # On a narrow screen text beside numbers, or many columns, would leave it.
+    is_listed = bool(table.pictures or ' class="words"' in classes
+                     or len(classes) > MOST_COLUMNS)
     listed = ' class="listed"' if is_listed else ""
     rows = [_row(table, i, classes, is_listed) for i in range(len(table.rows))]
     caption = _text(table.caption)
@@ -171,7 +175,7 @@ def _column_class(table: TableBlock, column: int) -> str:
         return ' class="words"'
     if column in table.page_only:  # too wide for a narrow screen as for a text
         return ' class="beyond"'
-    return ' class="range"' if table.columns[column] == "interval" else ""
+    return ' class="range"' if table.columns[column].endswith("interval") else ""
 
 
 def _row(table: TableBlock, i: int, classes: Sequence[str], is_listed: bool) -> str:
