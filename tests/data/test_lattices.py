@@ -119,7 +119,7 @@ def test_points_that_copy_each_other_have_no_accuracy() -> None:
     features = FeatureSet(Points(tuple(f"P{i}" for i in range(80)), ground[:, [1, 0]], ground),
                           crs="EPSG:32633")
     text = " ".join(termsel.run(features=features).summary().split())
-    assert "one column is a copy of another: nothing tells the accuracy" in text
+    assert "one column is a copy of another: the accuracy cannot be estimated" in text
     assert "on the ground (RMSE of" not in text
 
 

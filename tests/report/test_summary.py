@@ -29,9 +29,9 @@ from tests.records import (
         "Problem rfm-terms. Model poly3d, solver ga, criterion check-rmse, seed 4; termsel 9.9"]),
     (share(1.0), []),
     (share(0.67), [
-        "Limit: the terms are at most 67 % as many as the equations; --set max_share=1 removes it"]),
+        "Limit: 0.67 terms per equation; --set max_share=1 removes it"]),
     ({"polish": {"found": 1.23456, "polished": 1.1, "evaluations": 1500, "lookups": 0}}, [
-        "Local refinement: press 1.235 as ga found it, 1.1 after it (1500 evaluations)"]),
+        "Local refinement: press 1.235 as ga found it, 1.1 after it (1,500 evaluations)"]),
     ({"polish": {"found": 2.0, "polished": 2.0, "evaluations": 1, "lookups": 0}}, [
         "Local refinement: press 2 as ga found it, 2 after it (1 evaluation)"]),
     ({"notes": ["One note.", "Another."]}, ["Note: One note.", "Note: Another."])])

@@ -226,7 +226,8 @@ def test_at_any_time_there_is_a_bound(caplog: pytest.LogCaptureFixture) -> None:
             raise KeyboardInterrupt
 
     found = termsel.search(task.problem, task.solver, observers=[stop])
-    assert "exact: deciding 9,740,686 subsets (all selections of up to 12 of 24 features)" \
+    assert ("exact: 9,740,686 subsets to enumerate or exclude by bounds "
+            "(all selections of up to 12 of 24 features)") \
         in caplog.text
     assert found.interrupted
     assert found.certificate == seen[3]

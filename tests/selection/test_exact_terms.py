@@ -108,7 +108,8 @@ def test_a_large_space_is_not_cut_and_ends_with_a_certificate(
     task = termsel.prepare("poly-terms", solver="exact", options={"degree": 7, "max_share": 1.0})
     with caplog.at_level("INFO", logger="termsel"):
         found = termsel.search(task.problem, task.solver, seconds=0.3)
-    assert re.search(r"exact: deciding 132,955,328,176 subsets \(all selections of up to 23 terms "
+    assert re.search(r"exact: 132,955,328,176 subsets to enumerate or exclude by bounds "
+                     r"\(all selections of up to 23 terms "
                      r"an axis, 2 parts\)", caplog.text)
     certificate = assessed(task, found).certificate
     assert not certificate.optimal

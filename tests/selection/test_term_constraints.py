@@ -210,5 +210,5 @@ def test_features_leave_a_degree_of_freedom_to_given_terms() -> None:
 def test_the_summary_states_the_cap() -> None:
     capped = termsel.run("poly-terms", strategy="as-asked", evaluations=50)
     lifted = termsel.run("poly-terms", solver="ga", evaluations=50, options={"max_share": 1})
-    assert "the terms are at most 67 % as many as the equations" in capped.summary(verbose=True)
+    assert "Limit: 0.67 terms per equation" in capped.summary(verbose=True)
     assert "of their equations" not in lifted.summary(verbose=True)

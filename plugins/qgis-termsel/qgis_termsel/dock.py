@@ -49,7 +49,7 @@ class ResultDock(QDockWidget):
         self.accuracy = QLabel("Open the folder of a result.")
         self.accuracy.setWordWrap(True)
         self.candidates = QComboBox()
-        self.candidates.setToolTip("Candidates of auto, and the RMSE that is predicted for each. "
+        self.candidates.setToolTip("Models that were compared, with the predicted RMSE of each. "
                                    "Run again takes the one shown.")
         self.table = QTableWidget(0, len(_COLUMNS))
         self.table.setHorizontalHeaderLabels(_COLUMNS)
@@ -132,8 +132,8 @@ class ResultDock(QDockWidget):
         strategy = strategy if isinstance(strategy, dict) else {}
         self.candidates.clear()
         chosen_name = strategy.get("chosen")
-        self.candidates.addItem(f"chosen by auto: {chosen_name}" if chosen_name
-                                else "the choice of auto", "")
+        self.candidates.addItem(f"automatic choice: {chosen_name}" if chosen_name
+                                else "automatic choice", "")
         for candidate in strategy.get("candidates", []):
             predicted = candidate.get("predicted")
             text = "" if predicted is None else f", predicted {predicted:.3g} px"
@@ -233,7 +233,9 @@ def role_text(row):
     """Return the role of a row of residuals as the page of `termsel app` says it."""
     if row["role"] != "off" and row["used"] == "no" and row["blunder"]:
         return "left out as a blunder"
-    return f"line, {row['role']}" if row["kind"] == "line" else row["role"]
+    # The words of all screens for the roles of files.
+    role = {"check": "selection", "independent": "independent check"}.get(row["role"], row["role"])
+    return f"line, {role}" if row["kind"] == "line" else role
 
 
 def check_these(record, rows):
@@ -253,10 +255,11 @@ def accuracy_text(record):
     predicted = record.get("predicted") or {}
     sentences = []
     if independent:
-        sentences.append(f"Accuracy: RMSE {independent['total']:.3g} px on {independent['n']} "
+        sentences.append(f"Accuracy: RMSE {independent['total']:.3g} px at {independent['n']} "
                          "independent check points.")
     if predicted:
         sentences.append(f"Predicted: {predicted['rmse']:.3g} px, {predicted['low']:.3g} to "
                          f"{predicted['high']:.3g} px ({100 * predicted['level']:.0f}\u00a0% "
                          "interval).")
-    return " ".join(sentences) or "No point took no part, so that the accuracy is not known."
+    unknown = "The accuracy is not known: there are no independent check points."
+    return " ".join(sentences) or unknown

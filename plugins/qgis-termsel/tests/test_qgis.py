@@ -306,5 +306,5 @@ def test_an_image_is_matched_and_a_block_adjusted(told: dict[str, Any]) -> None:
     pytest.importorskip("termsel_block")
     found = Path(told["match"]["OUTPUT"]).read_text().splitlines()
     assert sum(not line.startswith("#") for line in found) > 5
-    assert (told["match"]["loaded"], told["match"]["valid"]) == (["Candidates"], [True])
+    assert (told["match"]["loaded"], told["match"]["valid"]) == (["Matches"], [True])
     assert "control" in Path(told["block"]["PAGE"]).read_text(encoding="utf-8")

@@ -56,5 +56,5 @@ def test_the_paper_just_runs() -> None:
 
 
 def test_the_fitness_requires_points_that_judge() -> None:
-    with pytest.raises(termsel.TermselError, match="requires points that judge"):
+    with pytest.raises(termsel.TermselError, match="requires selection points"):
         termsel.run("konugurthi-2016", options={"judged_by": "check"})

@@ -43,7 +43,7 @@ PHYSICAL_MAX_POINTS = 40
 """Points up to which there is one: more gain nothing by it."""
 
 PHYSICAL_MAX_CHOSEN = 18
-"""Points of control up to which auto tries it. The final fit has the check points, too."""
+"""Points of control up to which auto tries it. The final fit has the selection points, too."""
 
 PHYSICAL_FEW_POINTS = 12
 """Points up to which they do not tell whether it predicts better than what stands without it."""

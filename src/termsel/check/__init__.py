@@ -121,7 +121,8 @@ def _checked(content: Any) -> tuple[list[str], int]:
         total = total + value
         open_ = open_ + undecided
         lines.append(f"axis {axis.name}: {decided:,} selections of up to {axis.room} of "
-                     f"{axis.k} terms are decided by {steps:,} steps, {undecided:,} are open")
+                     f"{axis.k} terms are enumerated or excluded in {steps:,} steps, "
+                     f"{undecided:,} are open")
     restriction = f" in {axes[0].name}, of this axis alone" if len(axes) == 1 else ""
     lines.append(f"check RMSE of the selection: {float(total * share) ** 0.5:.6f} px{restriction}")
     if not open_:

@@ -57,7 +57,7 @@ class Observations:
 
     @cached_property
     def together(self) -> FeatureSet:
-        """Control and check points as control, and the control lines."""
+        """Control and selection points as control, and the control lines."""
         return self.control.with_(points=self.control.points.join_unchecked(self.check))
 
     @cached_property
@@ -279,7 +279,7 @@ def with_lines(observations: Observations, lines: Lines) -> Observations:
 
 
 def check_as_control(observations: Observations) -> Observations:
-    """Return the observations with all check points as further control."""
+    """Return the observations with all selection points as further control."""
     points = observations.features.points
     roles = tuple("control" if role == "check" else role for role in points.roles)
     return Observations(observations.features.with_(points=replace(points, roles=roles)),

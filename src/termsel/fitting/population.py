@@ -41,7 +41,7 @@ class Fits:
     lines : Lines
         Control lines in scaled coordinates.
     parts : tuple of IndependentPart
-        The systems from which the coefficients were solved. Criteria of the check points alone
+        The systems from which the coefficients were solved. Criteria of the selection points alone
         need neither these nor what follows.
     used : ndarray of bool, shape (p, n), optional
         Control features in use, points before lines; None if features are not selected.
@@ -78,7 +78,7 @@ class Fits:
 
     @cached_property
     def check_errors(self) -> FloatArray:
-        """Predicted minus measured line and sample of the check points [px], (p, n, 2)."""
+        """Predicted minus measured line and sample of the selection points [px], (p, n, 2)."""
         control = FeatureSet(self.control, self.lines)
         ground = self.check.ground
         if self.used is not None and self.model.corrects:  # each by the features that it uses

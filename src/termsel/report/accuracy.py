@@ -91,8 +91,8 @@ def agreement_of_computed(record: Record) -> str:
     size = record.accuracy.image.total if record.accuracy else expected.rmse if expected else 0.0
     agreement = f"within {rounded(size)} px" if size >= _ROUNDING_PX else "to rounding"
     return (f"the model predicts held-out points {agreement}, closer than anyone "
-            "measures. "
-            "They were computed, or one column is a copy of another: nothing tells the accuracy")
+            "measures. They were computed, or one column is a copy of another: the accuracy "
+            "cannot be estimated")
 
 
 def _between_points(record: Record) -> list[str]:

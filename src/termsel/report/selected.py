@@ -105,8 +105,7 @@ def _search(record: Record) -> Iterator[Block]:
             for name, value in parameters.items())
     max_share = _max_share(record)
     if max_share < 1:
-        yield (f"Limit: the terms are at most {100 * max_share:.0f} % as many as the equations; "
-               "--set max_share=1 removes it")
+        yield f"Limit: {max_share:.2g} terms per equation; --set max_share=1 removes it"
     yield (f"Search: {amount(record.evaluations, 'evaluation')} ({record.lookups:,} from the "
            f"cache), {counted(record.generations, 'generation')}, {record.seconds:.1f} s")
     if refined := record.polish:

@@ -343,6 +343,6 @@ def _refuse_searched(request: Request, problem: ParameterProblem) -> None:
 
 
 def _check_as(request: Request, observations: Observations) -> str:
-    """Return what check points are, where the option does not say: judges or control."""
+    """Return what selection points are, where the option does not say: judges or control."""
     judging = request.criterion.needs_check or not len(observations.control.points)
     return request.options["data"]["check_as"] or ("judge" if judging else "control")

@@ -75,8 +75,9 @@ class Georeference(Algorithm):
         "and "
         "columns in the image, the centre of the upper left pixel is 0, 0), or a file: .points of "
         "QGIS's georeferencer, CSV, or any other that termsel reads.\n\n"
-        "Points with the role independent judge the result and take no part in it. The output "
-        "folder is what Rectify, Export model and Accuracy report take.")
+        "Points with the role independent are independent check points: no fit and no choice uses "
+        "them, and their RMSE is the accuracy. Rectify, Export model and Accuracy report read the "
+        "output folder.")
 
     def initAlgorithm(self, config=None):
         """Declare parameters and outputs."""
@@ -101,7 +102,7 @@ class Georeference(Algorithm):
         add(QgsProcessingParameterFile("RPC", "RPC of the vendor", optional=True))
         add(QgsProcessingParameterFile("LINES", "File of control lines", optional=True))
         add(QgsProcessingParameterString(
-            "MODEL", "Model instead of the choice of auto, such as affine, tps or poly3d 2",
+            "MODEL", "Model, unless it is chosen automatically, such as affine, tps or poly3d 2",
             optional=True))
         self._outputs()
 
@@ -224,7 +225,7 @@ class SelectLines(Georeference):
     def initAlgorithm(self, config=None):
         """Declare parameters and outputs."""
         self.addParameter(QgsProcessingParameterFile("LINES", "File of control lines"))
-        self.addParameter(QgsProcessingParameterFile("FILE", "File of points that judge"))
+        self.addParameter(QgsProcessingParameterFile("FILE", "File of selection and check points"))
         self.addParameter(QgsProcessingParameterCrs("CRS", "CRS of the files", optional=True))
         self._outputs()
 

@@ -35,8 +35,8 @@ class MatchReference(Algorithm):
         add(QgsProcessingParameterRasterLayer("DEM", "Raster of heights", optional=True))
         add(QgsProcessingParameterFile("START", "Rough geometry: a file with an RPC or of three "
                                        "points, if the image has none", optional=True))
-        add(QgsProcessingParameterFileDestination("OUTPUT", "Candidates", "CSV files (*.csv)"))
-        self.addOutput(QgsProcessingOutputVectorLayer("LAYER", "Candidates"))
+        add(QgsProcessingParameterFileDestination("OUTPUT", "Matches", "CSV files (*.csv)"))
+        self.addOutput(QgsProcessingOutputVectorLayer("LAYER", "Matches"))
 
     def processAlgorithm(self, parameters, context, feedback):
         """Run the command."""
@@ -54,7 +54,7 @@ class MatchReference(Algorithm):
         run([*arguments, "-o", output, "--overwrite"], feedback)
         layer = _layer_of(output)
         context.addLayerToLoadOnCompletion(layer, QgsProcessingContext.LayerDetails(
-            "Candidates", context.project(), "LAYER", QgsProcessingUtils.LayerHint.Vector))
+            "Matches", context.project(), "LAYER", QgsProcessingUtils.LayerHint.Vector))
         return {"OUTPUT": output, "LAYER": layer}
 
 

@@ -26,7 +26,7 @@ class E50PerArea(Criterion):
     def score(self, fits: Fits) -> FloatArray:
         """Return the figure [px]; infinite for points on a straight line."""
         if not len(fits.check):
-            raise TermselError("the criterion e50-area requires points that judge, and there are "
+            raise TermselError("the criterion e50-area requires selection points, and there are "
                                "none", hint="Choose --set judged_by=all, or give selection points.")
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             # Half of the points may be blunders: the median does not see them.

@@ -28,7 +28,7 @@ JUDGED_BY = Option(
 
 
 class Ce90(Criterion):
-    """Circular error of nine in ten check points [px]: the 90 % quantile of the distances.
+    """Circular error of nine in ten selection points [px]: the 90 % quantile of the distances.
 
     Blunders in up to a tenth of the points have no effect; with more blunders use the criterion
     `median`. The quantile is interpolated linearly between the distances; no distribution is

@@ -1,4 +1,4 @@
-"""How often each term is selected as control and check points change, as a plugin.
+"""How often each term is selected as control and selection points change, as a plugin.
 
 References
 ----------

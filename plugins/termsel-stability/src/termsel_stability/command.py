@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from termsel_stability.frequencies import Stability
 
 _SOLVER, _CRITERION = "all-terms", "press"
-"""What fits given terms to control and check points together."""
+"""What fits given terms to control and selection points together."""
 
 
 @click.command()
@@ -31,10 +31,10 @@ _SOLVER, _CRITERION = "all-terms", "press"
 @click.option("--out", metavar="DIR", type=click.Path(path_type=Path),
               help="Folder for stability.json, the result of the stable terms, and exports.")
 def stability(repeats: int, threshold: float, **arguments: Any) -> None:
-    """Show how often each term is selected as control and check points change.
+    """Show how often each term is selected as control and selection points change.
 
-    Terms selected often are fitted to control and check points together. Independent points judge
-    them. It takes the options of `termsel run`; the budget is that of each search, and --export
+    Terms selected often are fitted to control and selection points together. Independent check
+    points assess them. It takes the options of `termsel run`; the budget is that of each search, and --export
     and --report write the model of the stable terms.
 
     \b

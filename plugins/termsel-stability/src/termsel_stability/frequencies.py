@@ -1,4 +1,4 @@
-"""How often each term is selected, over many draws of control and check points."""
+"""How often each term is selected, over many draws of control and selection points."""
 
 from __future__ import annotations
 
@@ -90,12 +90,12 @@ def stability(
     options: Mapping[str, Any] | None = None,
     observers: Iterable[Observer] = (),
 ) -> Stability:
-    """Select terms again and again, each time with other control and check points.
+    """Select terms again and again, each time with other control and selection points.
 
     Each repetition draws at random which of them are control, as many as there were; independent
     points keep their role, and twins share one. Where no point can change its role, as with lines,
     a random half of the control is left out, as in the paper. The terms selected often are then
-    fitted to control and check points together: stability selection. The papers show such
+    fitted to control and selection points together: stability selection. The papers show such
     frequencies over runs with other seeds on the same data; here the data differ too.
 
     Parameters
@@ -219,7 +219,7 @@ def _with_drawn_roles(task: Task, rng: np.random.Generator) -> FeatureSet:
         # Points of one place move together: one of them would give the other away.
         group = twins(points.ground[movable])
         order = np.argsort(rng.permutation(group.max() + 1)[group], kind="stable")
-        # Without check points there is nothing to exchange: half of the control is left out.
+        # Without selection points there is nothing to exchange: half of the control is left out.
         n_kept = n_control if n_check else n_control // 2
         other_role = "check" if n_check else "off"
         drawn = np.where(np.arange(len(order)) < n_kept, "control", other_role)

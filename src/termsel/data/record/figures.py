@@ -95,7 +95,7 @@ class RmseByRole(RecordPart, frozen=True):
     control: RoleRmse
     """Over control features in use."""
     check: RoleRmse
-    """Over check points; the fitness where the objective is check-rmse, or a fit to them."""
+    """Over selection points; the fitness where the objective is check-rmse, or a fit to them."""
     independent: RoleRmse
     """Over independent points; the accuracy."""
     leave_one_out: RoleRmse | None = field(name="leave-one-out", default=None)

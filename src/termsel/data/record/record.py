@@ -238,7 +238,7 @@ class FitRecord(RecordPart, frozen=True):
     """Measured minus predicted line and sample of each feature in use under the same procedure
     without it [px], of lines for each vertex, where the estimator finds them on its way."""
     features: Names | None
-    """Ids of all features it was fitted to, check points included and twins as one; null where
+    """Ids of all features it was fitted to, selection points included and twins as one; null where
     these are the control features of the selection."""
 
 

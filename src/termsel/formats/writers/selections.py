@@ -38,7 +38,7 @@ def _require_accepted(writer: Writer, result: Result, path: Path, hint: str) -> 
 
 
 def _used(result: Result) -> set[str]:
-    """Return the features in the adjustment, with check points if a strategy adds them."""
+    """Return the features in the adjustment, with selection points if a strategy adds them."""
     return {residual.id for residual in result.residuals if residual.used}
 
 

@@ -50,7 +50,7 @@ class Criterion(Configurable, ABC):
         "score": _score_fault, "subset_cost": None, "subset_folds": None}
 
     needs_check: ClassVar[bool] = True
-    """Whether the figure requires check points."""
+    """Whether the figure requires selection points."""
 
     is_rmse: bool = True
     """Whether the figure is an RMSE [px], for which a standard error can be given."""
@@ -88,7 +88,7 @@ class Criterion(Configurable, ABC):
 
 
 class CheckRmse(Criterion):
-    """RMSE over the check points [px]: the fitness of all five papers.
+    """RMSE over the selection points [px]: the fitness of all five papers.
 
     sqrt(mean(dl^2 + ds^2)) over points. A search minimises it below what the model achieves
     elsewhere, so it is not an estimate of the accuracy.

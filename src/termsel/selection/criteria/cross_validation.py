@@ -40,7 +40,7 @@ class _LeftOut(Criterion):
 
 
 class Press(_LeftOut):
-    """RMSE of each control feature, predicted from all others [px]; needs no check points.
+    """RMSE of each control feature, predicted from all others [px]; needs no selection points.
 
     A feature is held out with all its rows (leave-one-out), and twins together. Its squared error
     is the true image error under that solution, with the denominator of that solution. A selection
@@ -90,7 +90,7 @@ class KFold(_LeftOut):
 
     All available control is assigned to the folds once, whatever features are selected. Folds
     that are blocks of the scene show how a model extrapolates over gaps in the control; random
-    ones, like `press`, do not. Needs no check points.
+    ones, like `press`, do not. Needs no selection points.
 
     References
     ----------

@@ -36,7 +36,7 @@ class Ebic(Criterion):
     default, a third of the equations, the gain is 3, about the penalty ln n of such a term for
     20 equations. A search finds the luckiest of many such terms: if control is plentiful, two
     thirds are better. As n must be the same, the criterion cannot select features. It needs no
-    check points.
+    selection points.
 
     References
     ----------

@@ -1,4 +1,4 @@
-"""Criteria that are robust against blunders in check points."""
+"""Criteria that are robust against blunders in selection points."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from termsel.selection.criteria.base import Criterion
 
 
 def _figure(fits: Fits, loss: str, threshold: float = THRESHOLD.default) -> FloatArray:
-    """Return the figure of the distances sqrt(dl^2 + ds^2) of the check points [px]."""
+    """Return the figure of the distances sqrt(dl^2 + ds^2) of the selection points [px]."""
     # Beyond a pole errors may overflow; the figure then is infinite.
     with np.errstate(over="ignore", invalid="ignore"):
         distances = np.hypot(fits.check_errors[..., 0], fits.check_errors[..., 1])
@@ -19,10 +19,10 @@ def _figure(fits: Fits, loss: str, threshold: float = THRESHOLD.default) -> Floa
 
 
 class Median(Criterion):
-    """Median distance of the check points, as an RMSE [px].
+    """Median distance of the selection points, as an RMSE [px].
 
     The median of sqrt(dl^2 + ds^2), times 1 / sqrt(ln 2), so that for normal errors it is the
-    RMSE. Up to half of the check points may be blunders. The figure ignores the size of the
+    RMSE. Up to half of the selection points may be blunders. The figure ignores the size of the
     largest errors, also those of a poor model. The control is still adjusted by least squares: a
     criterion does not handle blunders in it.
 
@@ -41,7 +41,7 @@ class Median(Criterion):
 
 
 class Huber(Criterion):
-    """Huber's loss of the check points, as an RMSE [px].
+    """Huber's loss of the selection points, as an RMSE [px].
 
     sqrt(mean(rho(d))) over the distances d = sqrt(dl^2 + ds^2), where rho(d) is d^2 up to c and
     2 c d - c^2 beyond, and c is `threshold` times the median distance under the same model.

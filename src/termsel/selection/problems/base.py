@@ -279,7 +279,7 @@ class Problem(Guarded, ABC):
         Returns
         -------
         tuple of RowSystem or None
-            Independent parts whose squared errors of the check points add up, and order the
+            Independent parts whose squared errors of the selection points add up, and order the
             selections as the objective does; none where only an evaluation tells it. None if the
             genes are not a selection of features alone.
         """

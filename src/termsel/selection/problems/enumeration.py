@@ -119,7 +119,7 @@ def _not_enumerable(why: str) -> TermselError:
 
 def _side(model: RationalModel, inputs: ProblemData, equations: Equations, image_axis: int,
           guard: FloatArray, margin: float, parents: BoolArray | None) -> SubsetSystem:
-    """Return the system of one axis with the errors at the check points."""
+    """Return the system of one axis with the errors at the selection points."""
     points = inputs.control.points
     term_axes = model.axis
     control = equations.take(row_axes(equations.A, term_axes) == image_axis,
@@ -139,7 +139,7 @@ def _side(model: RationalModel, inputs: ProblemData, equations: Equations, image
 
 def _with_check(system: SubsetSystem, model: RationalModel, inputs: ProblemData,
                 image_axis: int) -> SubsetSystem:
-    """Return the system with the rows of the check points."""
+    """Return the system with the rows of the selection points."""
     check = inputs.check
     points = inputs.control.points
     check_equations = _axis_of_points(model, check, image_axis)

@@ -33,11 +33,11 @@ def row_systems(inputs: ProblemData, independent: tuple[IndependentPart, ...], t
     target = inputs.check.image.ravel() - constant
     systems = []
     explained = np.zeros(len(target), dtype=bool)
-    # A part is adjusted by itself, and its rows of the check points add to the squared errors.
+    # A part is adjusted by itself, and its rows of the selection points add to the squared errors.
     for system in independent:
         columns_in_use = np.flatnonzero(system.columns & terms)
         A, b = system.equations.with_prior()
-        # Rows of check points that the part's terms move: of line, of sample, or of both.
+        # Rows of selection points that the part's terms move: of line, of sample, or of both.
         rows = (columns[:, system.columns] != 0).any(axis=1)
         explained |= rows
         feature = np.full(len(b), -1, dtype=np.intp)  # of pseudo-observations
@@ -46,7 +46,7 @@ def row_systems(inputs: ProblemData, independent: tuple[IndependentPart, ...], t
                                  inputs.pixels * columns[np.ix_(rows, columns_in_use)],
                                  inputs.pixels * target[rows],
                                  _fewest_rows(len(columns_in_use), len(b), share, freedom)))
-    # The walk works in units of the check points' errors: these must determine the terms.
+    # The walk works in units of the selection points' errors: these must determine the terms.
     determined = explained.all() and all(row_system.determined for row_system in systems)
     return tuple(systems) if determined else ()
 
@@ -59,7 +59,7 @@ def _fewest_rows(terms: int, rows: int, share: float, freedom: int) -> int:
 
 
 def _linear(inputs: ProblemData) -> tuple[FloatArray, FloatArray] | None:
-    """Return the check points' image positions for terms of 0, and their change by each term.
+    """Return the selection points' image positions for terms of 0, and their change by each term.
 
     They are raveled, of shape (2 c,) and (2 c, k). None where they are not linear.
     """

@@ -93,7 +93,7 @@ def _verdict(row: Mapping[str, Any], accept: Accept | None, usual: float) -> tup
     against = _contradictions(row, usual)
     if accept is None:
         if _interval(row, "px") is None:
-            return DOUBTFUL, "nothing tells its accuracy"
+            return DOUBTFUL, "its accuracy cannot be estimated"
         against += _too_uncertain(row)
         if against:
             return DOUBTFUL, "; ".join(against)

@@ -81,7 +81,7 @@ class Method:
             function_of(self.name)
 
     def applied(self, features: FeatureSet, seed: int) -> Projection:
-        """Return the projection that a method makes of control and check points, lines and RPC.
+        """Return the projection that a method makes of control and selection points, lines and RPC.
 
         Raises
         ------
@@ -104,7 +104,7 @@ class Method:
             return termsel.run(problem, features=features, solver=self.name, seed=seed,
                                options=self.options, strategy="as-asked").project
         if self.kind == "model":
-            # A plain fit needs no check points: it takes them as control.
+            # A plain fit needs no selection points: it takes them as control.
             blank = replace(features.points, roles=())
             return termsel.fit(features.with_(points=blank), self.name, **self.options).project
         if self.kind == "peer":

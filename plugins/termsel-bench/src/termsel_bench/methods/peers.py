@@ -1,7 +1,7 @@
 """Other packages on the sets, as their documentation has them used, where they are installed.
 
-All take points alone, control and check points alike; Orthority needs the RPC, too, and OpenCV the
-focal length.
+All take points alone, control and selection points alike; Orthority needs the RPC, too, and OpenCV
+the focal length.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Searches of terms as one would write them with DEAP and with pymoo, without termsel.
 
 Each selects terms of a cubic polynomial, of the plane where there are no heights, for line and
-sample: least squares at the control points, RMSE of the check points as fitness. It is the method
-of the papers (Valadan Zoej et al. 2002) in some lines. Where points have no roles, every third one
-is a check point.
+sample: least squares at the control points, RMSE of the selection points as fitness. It is the
+method of the papers (Valadan Zoej et al. 2002) in some lines. Where points have no roles, every third one
+is a selection point.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Projection = Callable[[FloatArray], FloatArray]
 
 
 class Cubic:
-    """Terms of a cubic polynomial for both axes, with control and check points."""
+    """Terms of a cubic polynomial for both axes, with control and selection points."""
 
     def __init__(self, features: FeatureSet) -> None:
         points = features.points

@@ -33,7 +33,7 @@ _NEAREST, _FARTHEST = 5.0, 60.0
 
 @dataclass(frozen=True)
 class SetSettings:
-    """Settings of a simulated set: number of control and check points together, and what else."""
+    """Settings of a simulated set: number of control and selection points, and what else."""
 
     name: str
     kind: str
@@ -135,7 +135,7 @@ def made(name: str) -> BenchSet:
     """Return a set as it is simulated here, whether it is the frozen one or not."""
     settings = SETS[name]
     features, independent = _MAKERS.get(settings.kind, _camera)(settings)
-    # Control and check points by turns, so that both are all over the image.
+    # Control and selection points by turns, so that both are all over the image.
     roles = tuple("control" if i % 2 == 0 else "check" for i in range(len(features.points)))
     points = replace(features.points, roles=roles,
                      ids=tuple(f"P{i + 1}" for i in range(len(roles))))

@@ -132,8 +132,8 @@ class Exact(Solver):
             return
         subproblems = problem.parts()
         space = space_of(problem, subproblems, max_terms)
-        log.info("exact: deciding %s (%s, %s)%s", amount(count(problem, max_terms), "subset"),
-                 space, amount(len(subproblems), "part"),
+        log.info("exact: %s to enumerate or exclude by bounds (%s, %s)%s",
+                 amount(count(problem, max_terms), "subset"), space, amount(len(subproblems), "part"),
                  _estimate(problem, subproblems, max_terms, workers))
         index, reported, decided = 0, 0.0, 0
         placeholder = np.zeros((1, problem.genome.size), dtype=bool)

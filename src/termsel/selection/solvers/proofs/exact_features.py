@@ -139,7 +139,8 @@ def proof_generations(problem: Problem, systems: tuple[RowSystem, ...], workers:
         log.info("Compiling: the first proof on this machine takes some 6 s longer.")
     outlook = (f"; about {duration(estimate_seconds(selections, workers))}" if systems
            else "; each is evaluated, as the criterion or the model allows no other way")
-    log.info("exact: deciding %s (%s)%s", amount(total, "subset"), space, outlook)
+    log.info("exact: %s to enumerate or exclude by bounds (%s)%s", amount(total, "subset"),
+             space, outlook)
     index, last = 0, 0
     placeholder = problem.genome.random(np.random.default_rng(0), 1)
     for state, proof in enumerate(prove_features(problem, selections, workers)):
