@@ -34,8 +34,8 @@ def stability(repeats: int, threshold: float, **arguments: Any) -> None:
     """Show how often each term is selected as control and selection points change.
 
     Terms selected often are fitted to control and selection points together. Independent check
-    points assess them. It takes the options of `termsel run`; the budget is that of each search, and --export
-    and --report write the model of the stable terms.
+    points assess them. It takes the options of `termsel run`; the budget is that of each
+    search, and --export and --report write the model of the stable terms.
 
     \b
     Examples:

@@ -2,8 +2,8 @@
 
 Each selects terms of a cubic polynomial, of the plane where there are no heights, for line and
 sample: least squares at the control points, RMSE of the selection points as fitness. It is the
-method of the papers (Valadan Zoej et al. 2002) in some lines. Where points have no roles, every third one
-is a selection point.
+method of the papers (Valadan Zoej et al. 2002) in some lines. Where points have no roles,
+every third one is a selection point.
 """
 
 from __future__ import annotations

@@ -133,7 +133,8 @@ class Exact(Solver):
         subproblems = problem.parts()
         space = space_of(problem, subproblems, max_terms)
         log.info("exact: %s to enumerate or exclude by bounds (%s, %s)%s",
-                 amount(count(problem, max_terms), "subset"), space, amount(len(subproblems), "part"),
+                 amount(count(problem, max_terms), "subset"), space,
+                 amount(len(subproblems), "part"),
                  _estimate(problem, subproblems, max_terms, workers))
         index, reported, decided = 0, 0.0, 0
         placeholder = np.zeros((1, problem.genome.size), dtype=bool)
