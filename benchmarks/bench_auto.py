@@ -1,4 +1,4 @@
-"""The choice of auto among its candidates, next to one among ridge polynomials by scikit-learn.
+"""The automatic choice among its candidates, next to one among ridge polynomials by scikit-learn.
 
 Both judge every candidate by leave-one-out and repeat the whole choice in 10 folds. Those of
 scikit-learn are polynomials of the degrees 1 to 3, each with the best of 13 penalties by `RidgeCV`,

@@ -36,7 +36,7 @@ class Bound:
 
 def bounds(simulated: Simulated, result: BlockResult, bias: float, drift: float, noise: float,
            own: dict[int, Points], judging: dict[int, Points]) -> dict[int, Bound]:
-    """Return the bound of each image that has points of its own and points that judge."""
+    """Return the bound of each image that has points of its own and check points."""
     block, frame = simulated.block, result.frame
     places, ties = frame.local(simulated.ties), block.ties
     spread = np.array([max(bias, 1e-3), max(drift, 1e-3)])

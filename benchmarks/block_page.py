@@ -18,7 +18,7 @@ them that the table says.
 
 "Without over six own" divides the RMSE of an image without control by what six points of its own
 give it alone, with the strategy auto. "With over alone" does so where an image has six points in
-the block. Medians, and the largest in brackets. The points that judge are the same.
+the block. Medians, and the largest in brackets. The independent check points are the same.
 
 "Bound" is the least that this ratio can be on average, whatever the method: the posterior standard
 deviations of the block over those of six points, with all variances known. "RMSE to bound" divides

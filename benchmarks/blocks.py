@@ -57,7 +57,7 @@ class Figures:
 
 @one_blas_thread
 def figures_of(kind: Kind, seed: int) -> Figures:
-    """Return the figures of a block. Judging points are not those that an image alone takes."""
+    """Return the figures of a block. Its check points are not those that an image alone takes."""
     with drawn(kind, seed) as (simulated, block, bias, sigma):
         start = time.process_time()
         result = adjust(block)

@@ -47,6 +47,19 @@ def test_captions_of_one_picture_state_the_same_figures() -> None:
                 assert figures.setdefault(kind, value) == value, f"{picture} on {page.name}: {kind}"
 
 
+def test_sizes_of_blunders_in_pictures_are_explained_on_their_pages() -> None:
+    gallery = ROOT / "docs" / "how-to" / "gallery"
+    shown = 0
+    for page in gallery.glob("*.md"):
+        text = page.read_text(encoding="utf-8")
+        for picture in re.findall(r"{image} (pictures/\S+)", text):
+            drawn = (gallery / picture).read_text(encoding="utf-8")
+            for size in re.findall(r">([\d.]+ px), [a-z ]*blunder<", drawn):
+                assert size in text, f"{picture} shows {size}, {page.name} does not"
+                shown += 1
+    assert shown
+
+
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_captions_state_what_the_tutorial_computes(

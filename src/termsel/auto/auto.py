@@ -249,7 +249,7 @@ class Auto(Method):
 
         A regularised polynomial is averaged over all that lies between the plain ones, by a measure
         that needs no points to be left out. The rule is that of `termsel.auto.rule.best_of`: where
-        the points call for a random field, the regularised polynomial with it takes the place of
+        the points support a random field, the regularised polynomial with it takes the place of
         those without. Where features are too few for any method with a prior, similarities and a
         plane affine polynomial are tried, too. `with_contained` has methods that others contain
         fitted all the same, to be shown.
@@ -286,7 +286,7 @@ class Auto(Method):
         return len(self.methods) == 1
 
     def _settled(self, candidates: Iterable[Method], data: FitData) -> Choice | None:
-        """Return the choice of the method that the features call for alone, if one says so."""
+        """Return the choice of the method that the features support alone, if one says so."""
         for method in candidates:
             reason = self._settles(method, data)
             fitted = self.validated(method, data) if reason else None
@@ -295,7 +295,7 @@ class Auto(Method):
         return None
 
     def _settles(self, method: Method, data: FitData) -> str | None:
-        """Return why the features call for a method alone, if they do.
+        """Return why the features support a method alone, if they do.
 
         Raises TermselError where the method says what the user must say first.
         """
@@ -355,7 +355,7 @@ class Auto(Method):
 
         With the choice from all of them, methods that it came nowhere near are not fitted: those
         without a prior that predict no better than the one to be beaten, and those that all
-        features do not determine, or do not call for, unless they say that parts may.
+        features do not determine, or do not support, unless they say that parts may.
         """
         choice_for_parts = replace(self, all_features=data.features, hopeless=frozenset())
         priors = [] if choice is None else [

@@ -12,7 +12,7 @@ that a majority agrees on come first (see `termsel.auto.majority`).
 A prediction far from the other features rests on the form of the model, and a blunder there looks
 like a bend of the image. No test tells them apart, and only an error that is large even against the
 variance that its place gives is named by one. Of points, what is likelier is told all the same: as
-a blunder or as a right point, under all polynomials and random fields that the others call for.
+a blunder or as a right point, under all polynomials and random fields that the others support.
 Points that are likelier blunders are left out. Others with such an error stay in use, and are named
 as undecided.
 
@@ -431,7 +431,7 @@ def _readmitted(control: FitData, used: BoolArray, test: Test, test_of_all: Test
 
 def _judged_by_field(control: FitData, used: BoolArray, test: Test,
                      max_share: float = MAX_BLUNDER_SHARE) -> tuple[BoolArray, Test]:
-    """Judge again by a random field, where the points in use call for one.
+    """Judge again by a random field, where the points in use support one.
 
     Local deformation is no blunder, and what is small next to the error of a polynomial may be
     one.

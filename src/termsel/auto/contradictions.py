@@ -123,14 +123,14 @@ class Division:
                                     3 if self.all_features.heights else 2)
 
     def test(self) -> Test | None:
-        """Return what the features in use predict, by a random field where points call for it.
+        """Return what the features in use predict, by a random field where points support it.
 
         Else by `shrunken_test`.
         """
         return self.local_test() or self.shrunken_test()
 
     def local_test(self) -> Test | None:
-        """Return what points in use predict by a random field; None where they call for none."""
+        """Return what points in use predict by a random field; None where they support none."""
         if len(self.all_features.features.lines):
             return None
         process = self._gaussian_process

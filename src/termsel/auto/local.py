@@ -15,7 +15,7 @@ from termsel.fitting.least_squares import LeastSquares
 from termsel.models.base import SensorModel
 
 FIELD_CALLED_FOR = 0.75
-"""Probability of a random field beyond which points call for it: odds of three to one, beyond
+"""Probability of a random field beyond which points support it: odds of three to one, beyond
 which the evidence is positive (Kass and Raftery 1995, J. Am. Stat. Assoc. 90)."""
 
 FIELD_EXCLUDED = 0.05
@@ -23,7 +23,7 @@ FIELD_EXCLUDED = 0.05
 
 
 def required_probability(process: GaussianProcess) -> float:
-    """Return the probability of a random field beyond which points call for it.
+    """Return the probability of a random field beyond which points support it.
 
     Of few points without heights, up to `field.SURE`, any: they tell too little to choose by.
     """
@@ -36,9 +36,9 @@ def interpolated(model: SensorModel, control: FeatureSet, scaling: Scaling) -> I
 
 
 class Interpolated(Estimator):
-    """The interpolation of a model, where the points call for it.
+    """The interpolation of a model, where the points support it.
 
-    Its terms are those of least squares, and have no influence. A random field is called for where
+    Its terms are those of least squares, and have no influence. A random field is supported where
     its probability exceeds that of `asked_of`.
     """
 

@@ -120,7 +120,7 @@ class _OfCamera(Structure):
         return None
 
     def fit(self, control: FitData) -> Fit:
-        """Fit the camera, where the points call for an oblique view."""
+        """Fit the camera, where the points support an oblique view."""
         if not call_for_camera(control.scaled, control.scaling):
             raise Undetermined("the points do not show an oblique view by a camera without "
                                "distortion",
@@ -154,7 +154,7 @@ class _WithField(Structure):
     """A structure with a random field, which declines where the field is not likely."""
 
     def nearly(self, data: FitData) -> bool:
-        """Return whether the field is not all but excluded, so that parts may call for it."""
+        """Return whether the field is not all but excluded, so that parts may support it."""
         model = self.model(data.heights)
         assert model is not None
         process = interpolated(model, data.features, data.scaling)
@@ -181,18 +181,18 @@ class _WithPhysics(Structure):
     """A structure with the prior of known cameras, which declines where that is not likely."""
 
     def refit(self, fitted: Fit, data: FitData) -> Fit:
-        """Return the fit to more points, which may no longer call for the prior."""
-        # With more points the prior may no longer be called for.
+        """Return the fit to more points, which may no longer support the prior."""
+        # With more points the prior may no longer be supported.
         try:
             return self.fit(data)
         except Undetermined:
             return named("shrunken-cubic").fit(data)
 
     def describe(self, fitted: Fit) -> str:
-        """Return what called for the prior."""
+        """Return what supported the prior."""
         odds = "three" if fitted.used.sum() <= PHYSICAL_MIN_POINTS else "twenty"
         return (
-            f"{self.label} is called for: a known kind of camera, most likely "
+            f"{self.label} is used: a known kind of camera, most likely "
             f"{camera_average_of(fitted).kind}, is more than {odds} times as likely as an image of "
             "which nothing is known.")
 
@@ -245,7 +245,7 @@ METHODS: tuple[Structure, ...] = (
               short="thin-plate spline", needs=("field",)),
     _WithPhysics("physical-cubic",
                  "a cubic polynomial with the sensor-geometry prior",
-                 *_polynomials(3), estimator=Physical(), short="physical cubic", has_prior=True,
+                 *_polynomials(3), estimator=Physical(), short="cubic, sensor prior", has_prior=True,
                  contains=(*_LIMITS, *_SHRUNKEN, "field", "tps"), family=_FAMILY,
                  max_features=PHYSICAL_MAX_CHOSEN),
     _OfCamera("pinhole", "a pinhole camera", DLT3D(weighted=True), Projective2D(weighted=True),

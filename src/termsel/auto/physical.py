@@ -93,7 +93,7 @@ class CameraAverage(Average):
         return max(likely, key=likely.__getitem__)
 
     def is_uncalled_for(self, local: GaussianProcess | None) -> bool:
-        """Return whether the prior is not called for: next to a field, if points call for one.
+        """Return whether the prior is not supported: next to a field, if points support one.
 
         It needs positive evidence at the fewest points, as a field does, and strong evidence at
         more: where it is hardly likelier than what stands without it, that is as good, and has no

@@ -1,4 +1,4 @@
-"""A pinhole camera as a candidate, where few points call for an oblique view."""
+"""A pinhole camera as a candidate, where few points support an oblique view."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ PINHOLE_MIN_DLT_POINTS = 8
 
 @dataclass(frozen=True)
 class PinholeCamera(Estimator):
-    """The camera of 7 unknowns that points call for, written as the projection it is."""
+    """The camera of 7 unknowns that points support, written as the projection it is."""
 
     name = "pinhole"
 
@@ -100,7 +100,7 @@ def may_be_oblique(features: FeatureSet) -> bool:
 
 
 def call_for_camera(features: FeatureSet, scaling: Scaling) -> bool:
-    """Return whether scaled points call for an oblique view by a camera without distortion."""
+    """Return whether scaled points support an oblique view by a camera without distortion."""
     if not may_be_oblique(features):
         return False
     if len(features.points) == EXACT_AFFINE_POINTS and not is_off_plane(features.points):

@@ -43,7 +43,7 @@ CENTRAL_AFFINE_SHARE = 0.1
 points call for a camera near by: of images from orbit it is mostly more."""
 
 Describe = Callable[[Fit], str | None]
-"""Returns one sentence on why the features call for the method of a fit, if there is one."""
+"""Returns one sentence on why the features support the method of a fit, if there is one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +87,7 @@ def best_of(fits: Iterable[Fit], describe: Describe = lambda _: None) -> Choice 
 
     Of methods with a prior, the first is to be beaten by the others by PRIOR_MARGIN standard
     errors; what none of them contains by CLEAR_MARGIN, a central projection by PROJECTION_MARGIN,
-    or by PRIOR_MARGIN where the points call for an oblique or near camera. Of those that are so
+    or by PRIOR_MARGIN where the points support an oblique or near camera. Of those that are so
     much better, and of the one to be beaten, the one with the smallest RMSE is chosen. Where none
     has a prior, the smallest RMSE decides.
     """
@@ -148,7 +148,7 @@ def required(fitted: Fit, base: Fit) -> float:
     if not method_of(fitted).central:
         return CLEAR_MARGIN
     # Few points measured roughly, as in a drawn bird's-eye view, hardly tell standard errors apart;
-    # that they call for an oblique view, or for a camera near by, is evidence of its own.
+    # that they support an oblique view, or for a camera near by, is evidence of its own.
     view = fitted.view
     calls_for_camera = view is not None and (
         view.depth < OBLIQUE_DEPTH_RATIO or view.affine_share < CENTRAL_AFFINE_SHARE)

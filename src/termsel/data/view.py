@@ -1,4 +1,4 @@
-"""The central projection that points call for: the view of a camera, be it oblique.
+"""The central projection that points support: the view of a camera, be it oblique.
 
 Line and sample are linear in X, Y (and Z) over one denominator, which is the distance from the
 camera along its view. It is zero in the plane of the camera: below it, and beyond the horizon of
@@ -18,7 +18,7 @@ from termsel.data.measurements import Measurements
 
 CLEARER = 0.5
 """What a central projection leaves of the image coordinates, by what an affine transformation
-leaves, from which on down the points call for it."""
+leaves, from which on down the points support it."""
 
 NEARER = 0.5
 """Places nearer to the camera than this part of the distance of the nearest point are outside the
@@ -114,7 +114,7 @@ class CentralView:
 
 
 def view_of(points: Points) -> CentralView | None:
-    """Return the central projection that scaled points call for, or None.
+    """Return the central projection that scaled points support, or None.
 
     A DLT, or a projective transformation of the plane where heights are not known or tell nothing.
     """

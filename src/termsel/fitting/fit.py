@@ -138,7 +138,7 @@ class Estimator(ABC):
                               fitted.adjustment, own, least_squares=self.least_squares)
 
     def view(self, features: FeatureSet, scaling: Scaling) -> CentralView | None:
-        """Return the central projection that scaled features in use call for, or None."""
+        """Return the central projection that scaled features in use support, or None."""
         return view_of(features.points)
 
     def held_out(self, fitted: Fit) -> HeldOut:
@@ -406,7 +406,7 @@ class Fit(Glance):
         """Return whether image points lie above the horizon of the view, (n,).
 
         The horizon is where the distances of places on the level of the control grow without end.
-        Nothing is above it where the control calls for no view.
+        Nothing is above it where the control supports no view.
 
         Parameters
         ----------
@@ -421,7 +421,7 @@ class Fit(Glance):
         """Return whether a map may show ground points, (n,): no image of such a view is of use
         much nearer to the camera than the control, or much farther away.
 
-        True throughout where the control calls for no view, but for places that are `unseen`.
+        True throughout where the control supports no view, but for places that are `unseen`.
 
         Parameters
         ----------
@@ -445,7 +445,7 @@ class Fit(Glance):
 
     @cached_property
     def view(self) -> CentralView | None:
-        """The central projection that the points in use call for, of scaled places, or None."""
+        """The central projection that the points in use support, of scaled places, or None."""
         return (self.original or self).estimator.view(self._scaled_used, self.scaling)
 
     def sigma(self, ground: ArrayLike, *, measured: bool = False) -> FloatArray:

@@ -82,11 +82,11 @@ class Method(ABC):
         RMSE.
     contains : tuple of str
         Names of methods that it has as limits. They are not chosen next to it. Where it has a
-        prior, it takes the place of those among them that have one, as soon as it is called for.
+        prior, it takes the place of those among them that have one, as soon as it is supported.
     family : str
         Plural that names it together with others that have the same limits.
     needs : tuple of str
-        Names of methods without which it is not called for.
+        Names of methods without which it is not supported.
     for_few : bool
         Whether it is for features that are too few for any method with a prior.
     only_shown : bool
@@ -165,7 +165,7 @@ class Method(ABC):
         Raises
         ------
         Undetermined
-            If the features do not determine the method, or do not call for it.
+            If the features do not determine the method, or do not support it.
         """
 
     def held_out(self, fitted: Fit) -> HeldOut:
@@ -201,11 +201,11 @@ class Method(ABC):
         return self.fit(data)
 
     def describe(self, fitted: Fit) -> str:
-        """Return one sentence on why the features call for it; "" if leave-one-out tells all."""
+        """Return one sentence on why the features support it; "" if leave-one-out tells all."""
         return ""
 
     def nearly(self, data: FitData) -> bool:
-        """Return whether parts of many features may call for it where all of them do not.
+        """Return whether parts of many features may support it where all of them do not.
 
         It is asked where it could not be fitted to all of them. Then it is fitted in the folds in
         which the choice is repeated, unless it says no; that saves time.
@@ -213,7 +213,7 @@ class Method(ABC):
         return True
 
     def settles(self, data: FitData) -> str | None:
-        """Return in a sentence why features call for this method alone; None if they do not.
+        """Return in a sentence why features support this method alone; None if they do not.
 
         Such as points that were computed by the very geometry that it knows. No other method is
         then tried.
@@ -221,7 +221,7 @@ class Method(ABC):
         Raises
         ------
         TermselError
-            If they call for it alone, and it lacks something that the user must say: the run ends.
+            If they support it alone, and it lacks something that the user must say: the run ends.
         """
         return None
 

@@ -312,7 +312,7 @@ class Measured:
 
 @dataclass(frozen=True, eq=False)
 class Pinhole:
-    """The camera that control points call for, in scaled coordinates.
+    """The camera that control points support, in scaled coordinates.
 
     Parameters
     ----------
@@ -388,7 +388,7 @@ def camera_of(measured: Measured) -> Pinhole | None:
 
 
 def cameras_of(measured: Measured) -> Cameras:
-    """Return a few cameras that control points may call for, the best first; or none."""
+    """Return a few cameras that control points may support, the best first; or none."""
     everything = np.ones((1, len(measured.image)))
     candidates = _starts(measured)
     costs = np.zeros(len(candidates))

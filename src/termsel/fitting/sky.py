@@ -69,7 +69,7 @@ def refuse_sky(fitted: Fit, product: str) -> None:
 
 
 def why_not_shown(fitted: Fit) -> str:
-    """Return why a part of the image of a view has no ground; "" where control calls for none."""
+    """Return why a part of the image of a view has no ground; "" where control supports none."""
     if fitted.view is None:
         return ""
     return FAR_OR_SKY if fitted.above_horizon(image_places(fitted, 2)).any() else NEAR_OR_FAR

@@ -35,7 +35,7 @@ _GRID = np.stack(np.meshgrid(*[np.linspace(-1.0, 1.0, n) for n in (5, 5, 3)]), -
 def pole_margin(control: Points) -> float:
     """Return the least value that denominators must have, of models of scaled control points.
 
-    It is POLE_MARGIN, or less where the points call for an oblique view, whose nearest point is so
+    It is POLE_MARGIN, or less where the points support an oblique view, whose nearest point is so
     much nearer to the camera than the middle.
     """
     view = view_of(control)

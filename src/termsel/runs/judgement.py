@@ -118,7 +118,7 @@ def judge_choice(method: Method, predicted: float | None, rmse: Rmses,
     else:
         sentences.append(f"The RMSE at {counted(measured.n, 'independent check point')}, which "
                          f"took no part, is {_px(measured.total)}.")
-    # The rival is chosen by held-out errors, never by the independent points that judge.
+    # The rival is chosen by held-out errors, never by independent check points.
     rivals = [(b.predicted, b, candidate.title) for b in baselines if b.predicted is not None
               and (candidate := registry().known("methods", b.name))
               and candidate.is_plain and candidate is not method]

@@ -78,7 +78,7 @@ def declines(subject: Subject) -> None:
 
 
 def nearly(subject: Subject) -> None:
-    """It says whether parts of features may call for it."""
+    """It says whether parts of features may support it."""
     for control in subject.controls():
         answer = subject.method.nearly(control)
         require(isinstance(answer, bool | np.bool_),
@@ -140,7 +140,7 @@ def repeats(subject: Subject) -> None:
 
 
 def describes(subject: Subject) -> None:
-    """It says in one sentence why it is called for, or nothing."""
+    """It says in one sentence why it is supported, or nothing."""
     for _, fitted in subject.fits():
         text = subject.method.describe(fitted)
         require(isinstance(text, str) and "\n" not in text and (not text or text.endswith(".")),

@@ -59,7 +59,7 @@ def model_named(candidate, model):
     # Polynomials of auto are called by their degree, not by their model.
     if model in ("poly2d", "poly3d"):
         return f"{model} {_DEGREES[candidate]}" if candidate in _DEGREES else ""
-    # Its other forms are chosen by auto.
+    # Its other forms only auto fits.
     if model == "rpc-affine":
         return model if candidate == "rpc-by-affine" else ""
     return "" if candidate.startswith(("shrunken", "selected")) else model

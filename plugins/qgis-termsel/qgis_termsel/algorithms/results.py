@@ -27,7 +27,7 @@ from .base import Algorithm, layer_file, result_parameter, scratch, with_page
 
 _FORMATS = ("rpc-txt", "rpb", "rpc-vrt", "gcp-vrt", "gcp-grid-vrt", "geolocation-vrt",
             "qgis-points", "points-csv", "residuals-gpkg")
-_RESAMPLING = ("as the image calls for", "nearest", "bilinear", "cubic", "cubic_spline", "lanczos",
+_RESAMPLING = ("as suits the image", "nearest", "bilinear", "cubic", "cubic_spline", "lanczos",
                "average")
 _WITH_IMAGE = ("rpc-vrt", "gcp-vrt", "gcp-grid-vrt", "geolocation-vrt")
 

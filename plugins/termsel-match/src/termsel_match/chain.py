@@ -98,7 +98,7 @@ def judge(
     """Return the model of an image, by candidates that agree, and whether it is good enough.
 
     An RPC, also that of a result, is refined by the plainest correction that held-out candidates
-    call for: `rpc-shift`, `rpc-drift`, `rpc-affine` or `rpc-jitter`. Where candidates do not
+    support: `rpc-shift`, `rpc-drift`, `rpc-affine` or `rpc-jitter`. Where candidates do not
     determine the last all over the map, a plainer one is taken. Without an RPC, the model is an
     affine transformation of the ground coordinates. Where the vectors cannot be used, the model is
     by points alone.

@@ -113,7 +113,7 @@ def flight_camera(photos: tuple[Path, ...], crs: str | None, size: tuple[int, in
     """Find the camera that all photos of one flight share, from their control points.
 
     PHOTOS are files of points with heights, a photo each. Focal length and radial distortion are
-    those that the points of all photos together call for.
+    those that the points of all photos together support.
 
     \b
     Examples:

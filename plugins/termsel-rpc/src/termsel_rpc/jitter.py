@@ -85,7 +85,7 @@ def splines(lines: FloatArray, rpc: Rpc, intervals: int) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class JitteredRpc(CorrectedRpc):
-    """The RPC that features have, with as many intervals as leave-one-out calls for."""
+    """The RPC that features have, with as many intervals as leave-one-out supports."""
 
     def fit(self, control: FitData) -> Fit:
         """Fit the splines; the least number of intervals within a standard error of the best."""

@@ -24,7 +24,7 @@ from termsel_rpc.image_space import RpcAffine
 from termsel_rpc.refinement import FloatArray
 
 LIKELY = 0.75
-"""Probability of a field beyond which points call for it, as of the candidate ``field``."""
+"""Probability of a field beyond which points support it, as of the candidate ``field``."""
 
 
 class Collocated(Protocol):
@@ -120,7 +120,7 @@ class RpcField(RpcAffine):
 
 
 class Local(Estimator):
-    """The collocation over an RPC, where the points call for a field."""
+    """The collocation over an RPC, where the points support a field."""
 
     name = "rpc-field"
 
@@ -148,7 +148,7 @@ class Local(Estimator):
 
 @dataclass(frozen=True, eq=False)
 class LocalRpc(CorrectedRpc):
-    """The RPC that features have, with a random field where evidence and leave-one-out call for it.
+    """The RPC that features have, with a random field where evidence and leave-one-out support it.
     """
 
     def fit(self, control: FitData) -> Fit:

@@ -351,14 +351,14 @@ class FewOfPhoto(Method):
     def tried(self, data: FitData) -> bool:
         """Return whether the points say that they are of a photo.
 
-        To try cameras on every image would take auto several times as long. What calls for an
+        To try cameras on every image would take auto several times as long. What supports an
         oblique view gets termsel's own pinhole camera.
         """
         return sensor_of(data) == self.camera.name
 
     @staticmethod
     def _is_oblique(control: FitData) -> bool:
-        """Return whether the points call for a view of unlike distances from the camera."""
+        """Return whether the points support a view of unlike distances from the camera."""
         view = view_of(control.scaled.points)
         return view is not None and view.depth < OBLIQUE
 
@@ -398,7 +398,7 @@ class FewOfPhoto(Method):
         assert isinstance(fitted.model, Photo)
         tilt = np.degrees(np.arccos(np.prod(np.cos(fitted.model.tilt * np.array(
             [values["tilt-line"], values["tilt-sample"]])))))
-        return (f"The points call for {self.title}. The fit converged in "
+        return (f"The points support {self.title}. The fit converged in "
                 f"{fitted.adjustment.steps} steps, with a focal length of {focal:.1f} half "
                 f"extents of the control and a tilt of {tilt:.1f} deg.")
 

@@ -31,9 +31,9 @@ class BenchSet:
     ----------
     name, kind : str
     features : FeatureSet
-        Control and check points, lines, the RPC: all that a method sees.
+        Control and selection points, lines, the RPC: all that a method sees.
     independent : Points
-        Points that judge; without noise where they are simulated.
+        Independent check points; without noise where they are simulated.
     licence, source : str
         Of a real set; "" of a simulated one.
     """

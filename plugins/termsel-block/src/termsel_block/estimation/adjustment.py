@@ -79,7 +79,7 @@ def adjust_block(state: State, measured: Sequence[Measured], control: Sequence[O
     least squares without them. Standard deviations of ties and control, and the variance of each
     image's groups of columns (`evidence.variances`), are estimated on the way. A group whose Bayes
     factor, by the ratio of Savage and Dickey over the whole block's posterior, is below one is
-    dropped. Columns for jitter are tried where residuals call for them (`evidence.growing`).
+    dropped. Columns for jitter are tried where residuals support them (`evidence.growing`).
     """
     # Images share ties with one another, and all ties with the heights, which count as one more
     # image.
@@ -269,7 +269,7 @@ class _Run(Steps):
         return bool(np.abs(after / before - 1).max() < _SETTLED)
 
     def grow(self, fixed: Sequence[bool]) -> bool:
-        """Add columns to the images whose residuals call for them; return whether any do."""
+        """Add columns to the images whose residuals support them; return whether any do."""
         state = self.state
         grown = False
         for i, (camera, measured, residual) in enumerate(zip(

@@ -128,7 +128,7 @@ class Camera(ABC):
         return self, parameters
 
     def grown(self) -> tuple[LinearCamera, BoolArray] | None:
-        """Return the camera with further columns, which residuals may call for; None if none.
+        """Return the camera with further columns, which residuals may support; None if none.
 
         With it a mask (p,) of the parameters that are new.
         """

@@ -58,10 +58,10 @@ class Selected:
     correction : Correction
         The model and its options.
     called_for : Correction, optional
-        What held-out candidates call for, where that is richer and not determined everywhere.
+        What held-out candidates support, where that is richer and not determined everywhere.
     missed : float
         RMS error at candidates for check and independent ones, without the noise of matching as far
-        as it is known [px]. 0 where it is small, and no richer correction is called for.
+        as it is known [px]. 0 where it is small, and no richer correction is supported.
     """
 
     result: Result
@@ -116,7 +116,7 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
     steady-state GA selects m of the others so that the model agrees with as many as possible
     (problem `rpc-gcps`, criterion `agreement`). The model is then fitted to all of them that agree,
     until they stay the same. Of an RPC, the correction is the plainest that held-out candidates
-    call for: a shift, a drift, affine, or smooth along the lines.
+    support: a shift, a drift, affine, or smooth along the lines.
 
     Parameters
     ----------
@@ -162,7 +162,7 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
     max_limit = accept if points.sigma is None else max(accept,
                                                         _SIGMAS * float(np.median(points.sigma)))
     fit = fitted(correction, picked)
-    # Each round fits to all that agree, then looks whether these call for another correction.
+    # Each round fits to all that agree, then looks whether these support another correction.
     for choice in range(_CHOICES + 1):
         agrees = np.zeros(0, dtype=bool)
         limit = 0.0
@@ -192,7 +192,7 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
         "owdis-points", features=agreeing, model=correction.model, solver="all-terms",
         options={**correction.options, **_all_used(agreeing)}, seed=seed, out=folder,
         overwrite=plainer_than is not None), folder)
-    # Where nothing richer is called for, those that do not agree are wrong matches.
+    # Where nothing richer is supported, those that do not agree are wrong matches.
     missed = _missed(result.fit, points.take(
         (roles != "control") & (agrees | (plainer_than is not None))))
     if plainer_than is None and missed <= (_MISSED if points.sigma is not None else accept / 2):

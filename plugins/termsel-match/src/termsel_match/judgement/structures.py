@@ -1,4 +1,4 @@
-"""How much of a correction the candidates call for: a shift, a drift, or more."""
+"""How much of a correction the candidates support: a shift, a drift, or more."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Correction:
 
 
 def corrections(model: str, options: Mapping[str, Any], count: int) -> list[Correction]:
-    """Return what so many candidates may call for, the plainest first.
+    """Return what so many candidates may support, the plainest first.
 
     Parameters
     ----------

@@ -155,7 +155,7 @@ def remarks(candidates: Candidates, selected: Selected, evidence: Evidence,
                      f"{evidence.along_lines.line:.0f}, {_vector(evidence.along_lines.away)}. "
                      "Jitter of the attitude does so, and so do seams of the reference.")
     if selected.called_for is not None:
-        notes.append(f"Candidates call for {selected.called_for.text}, and do not determine it all "
+        notes.append(f"Candidates support {selected.called_for.text}, and do not determine it all "
                      f"over the map. {selected.correction.text} is taken instead; at held-out "
                      f"candidates it misses {selected.missed:.2f} px (RMS).")
     elif selected.missed:

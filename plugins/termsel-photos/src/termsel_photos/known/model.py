@@ -236,7 +236,7 @@ class KnownFrame(SensorModel):
         return (position, spread) if np.isfinite(position).any() else (None, None)
 
     def camera(self, features: FeatureSet, noise: float | None) -> Pinhole:
-        """Return the camera that scaled control points call for.
+        """Return the camera that scaled control points support.
 
         Raises
         ------

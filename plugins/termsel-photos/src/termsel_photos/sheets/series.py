@@ -171,7 +171,7 @@ class BySeries(Estimator):
 
 def posterior_of(paper: Paper, plan: FloatArray, measured: FloatArray,
                  sigma: float | None = None) -> _Posterior:
-    """Return the sheet that points (n, 2) and the prior of its paper call for.
+    """Return the sheet that points (n, 2) and the prior of its paper support.
 
     The plan is about its middle, `measured` are samples and minus lines [px]. Without a noise
     `sigma` it is that of the residuals and the series, each by its degrees of freedom.
