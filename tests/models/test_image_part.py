@@ -52,7 +52,7 @@ def test_a_run_recognises_a_part_and_says_so(name: str, count: int, tmp_path: Pa
     part = PARTS[name]
     result = termsel.run(features=seen(part, control(count)))
     said = " ".join(result.summary().split())
-    assert "By the control the RPC is of an image that" in said
+    assert "The control shows that the RPC is that of an image that" in said
     assert ("rpc_scale" in said) == (part.scale != 1.0)
     termsel.export(result, "rpb", tmp_path / "part.RPB")
     exact = seen(part, control(200, sigma=0.0)).points
@@ -106,7 +106,7 @@ def test_what_is_stated_is_used(tmp_path: Path) -> None:
     read = termsel.read(tmp_path / "points.csv", rpc=vendor, rpc_offset="120,2000", rpc_scale=3)
     assert read.rpc == PARTS["thirds of a cut"].rpc(camera())
     result = termsel.run(features=read)
-    assert "By the control the RPC" not in result.summary()
+    assert "The control shows that the RPC" not in result.summary()
     for options, words in [({"rpc_offset": "120"}, "line and sample"),
                            ({"rpc_offset": "1,e"}, "line and sample"),
                            ({"rpc_scale": "0"}, "0.001 to 1000"),

@@ -93,8 +93,8 @@ class ImagePart:
             side = "left" if sample >= 0 else "right"
             clauses.append(f"begins some {abs(line):.0f} lines {up} and {abs(sample):.0f} samples "
                            f"{side} of it")
-        return (f"By the control the RPC is of an image that {' and '.join(clauses)}; it was used "
-                f"so ({self.settings}).")
+        return (f"The control shows that the RPC is that of an image that "
+                f"{' and '.join(clauses)}; it was used so ({self.settings}).")
 
 
 def part_of(offset: str | None, scale: float | str | None) -> ImagePart | None:
