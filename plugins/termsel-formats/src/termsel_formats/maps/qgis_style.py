@@ -21,6 +21,9 @@ _ROLE = """CASE WHEN "role" IN ('control', 'off') AND NOT "used" THEN 'left out'
 _COLOURS = {role: colour for role, colour in ROLE_COLOURS.items() if role != "rejected"}
 """Colours by role: in the layer, outliers are among those left out."""
 
+_LABELS = {"check": "selection", "independent": "independent check", "left out": "not used"}
+"""What the legend calls roles, where that differs."""
+
 _SHAPES = {"circle": "circle", "square": "square", "triangle-up": "triangle",
            "cross": "cross_fill"}
 """Names of QGIS for those of the charts."""
@@ -65,8 +68,9 @@ def _arrows() -> str:
 
 def _by_role(kind: str, geometry: int, layers: dict[str, str]) -> str:
     """Return a style of QGIS with a symbol for each role."""
-    categories = "".join(f'<category value="{role}" label="{role}" symbol="{i}" render="true"/>'
-                         for i, role in enumerate(layers))
+    categories = "".join(
+        f'<category value="{role}" label="{_LABELS.get(role, role)}" symbol="{i}" render="true"/>'
+        for i, role in enumerate(layers))
     symbols = "".join(_symbol(kind, str(i), layer) for i, layer in enumerate(layers.values()))
     attribute = _ROLE.replace('"', "&quot;")
     return (f'<!DOCTYPE qgis PUBLIC "http://mrcc.com/qgis.dtd" "SYSTEM">\n'
