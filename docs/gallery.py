@@ -39,7 +39,8 @@ PICTURES = PAGES / "pictures"
 _PICTURE = re.compile(r"^```{image} pictures/(\S+)$", re.MULTILINE)
 _PLACES = re.compile(r' (?:transform|d|[xy]2?|width|height)="[^"]*"')
 _DECIMALS = re.compile(r"(\.\d)\d+")
-_UNSEEN = re.compile(r' (?:aria-[a-z]+|role|class)="[^"]*"| opacity="1"')
+_UNSEEN = re.compile(r' (?:aria-[a-z]+|role|class)="[^"]*"| opacity="1"'
+                     r'| stroke-dasharray=""')
 _NEEDS = re.compile(r"^<!-- needs: (\w+) -->$", re.MULTILINE)
 _TRUE = re.compile(r"^<!-- true: (.+) -->$", re.MULTILINE)
 

@@ -19,6 +19,7 @@ from termsel.cli import plot
 from termsel.cli.main import cli
 from termsel.data.record.base import plain
 from termsel.report import library
+from termsel.report.charts import maps
 from termsel.report.plots import KINDS
 from termsel.report.repeat import command, not_by_command
 
@@ -85,6 +86,13 @@ def test_an_arrow_is_measured_minus_computed(searched: Path) -> None:
             assert (drawn[name]["dl"], drawn[name]["ds"]) == pytest.approx((line, sample), rel=1e-3)
 
 
+def test_arrows_end_at_the_rim_of_the_map() -> None:
+    rows = [{"x": 1.0, "y": 1.0, "dx": 0.1, "dy": 0.0}]
+    extent = maps.Extent((0.0, 2.0), (0.0, 2.0), 5.0)
+    assert not extent.cuts(rows, ("x", "y"), ("dx", "dy"))
+    assert extent.cuts([{**rows[0], "dy": -0.3}], ("x", "y"), ("dx", "dy"))
+
+
 def test_the_map_on_the_ground_is_in_metres(searched: Path) -> None:
     result = termsel.read_result(searched)
     independent = [row["metres"] for row in result.view.on_ground if row["role"] == "independent"]
@@ -123,8 +131,9 @@ def test_every_chart_is_one_altair_chart_that_says_what_to_look_for(
             assert isinstance(chart, altair.TopLevelMixin)
             spec = chart.to_dict()
             assert spec["title"]["text"] == kind.title
-            assert " ".join(spec["title"]["subtitle"]) == kind.caption(result.view)
-            assert kind.caption(result.view).startswith(kind.look)
+            caption = kind.caption(result.view)
+            assert caption.startswith(kind.look)
+            assert " ".join(spec["title"]["subtitle"]).startswith(caption)
             drawn.add(kind.name)
     assert drawn == set(KINDS) == set(plot.CHART_NAMES)
 
@@ -271,6 +280,9 @@ def test_the_six_answers_come_in_order(searched: Path, tmp_path: Path) -> None:
     assert f"{result.accuracy.ground.total:.3g} m on the ground" in text  # type: ignore[union-attr]
     sums = json.loads((searched / "result.json").read_text())["checksums"]
     assert all(f">{value}</td>" in text for value in sums.values())
+    shown = text[:text.index("<script")]
+    assert "termsel report" not in shown  # it is that report
+    assert "Not saved" not in shown
     with pytest.raises(termsel.TermselError, match="already exists"):
         result.report(tmp_path / "page.html")
 

@@ -136,6 +136,9 @@ KINDS = {kind.name: kind for kind in (
 )}
 """All kinds of charts by name, in the order of a report."""
 
+LINKED = ("worst", "front")
+"""Those with a map of the image beside them, which a page shows by itself."""
+
 
 def kind_of(name: str) -> ChartKind:
     """Return a kind of chart.
@@ -194,7 +197,10 @@ def chart(view: View, name: str) -> Any:
         names = ", ".join(kind.name for kind in KINDS.values() if not kind.missing(view))
         raise TermselError(f"this result has no chart {name}: {why}",
                      hint=f"Charts that it has: {names}.")
-    return offline(styled(kind.draw(view), kind.title, kind.caption(view)))
+    caption = kind.caption(view)
+    if name in LINKED:
+        caption = f"{caption} {maps.cut_in_image(view)}".strip()
+    return offline(styled(kind.draw(view), kind.title, caption))
 
 
 class Plots:

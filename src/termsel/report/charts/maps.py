@@ -270,7 +270,7 @@ def _arrows(view: View, rows: list[Row], x: Any, y: Any, vector: tuple[str, str]
     layers = [
         base.mark_rule(strokeWidth=1.5, clip=True, aria=False).encode(
             x=x, y=y, x2="end_x:Q", y2="end_y:Q", color=colour,
-            strokeDash=alt.condition("datum.drawn < 1", alt.value([5, 3]), alt.value([1, 0]))),
+            strokeDash=alt.condition("datum.drawn < 1", alt.value([5, 3]), alt.value([]))),
         base.mark_point(shape="wedge", filled=True, size=110, opacity=1,
                         aria=False).encode(
             x=_of(x, "end_x"), y=_of(y, "end_y"), color=colour,
