@@ -30,7 +30,7 @@ def row(**figures: Any) -> dict[str, Any]:
     ({"pixel": None}, "3m", DOUBTFUL, "not known in m"),
     ({"independent": 3.0, "n_independent": 30}, "2px", UNFIT, "RMSE 3.00 px"),
     ({"independent": 3.0, "n_independent": 5}, "2px", DOUBTFUL, "more than predicted"),
-    ({"predicted": None, "independent": None}, None, DOUBTFUL, "nothing tells"),
+    ({"predicted": None, "independent": None}, None, DOUBTFUL, "cannot be estimated"),
     ({"blunders": ["a", "b", "c", "d"], "excluded": 4}, None, DOUBTFUL, "4 blunders among 16"),
     ({"doubt": "Its axes look swapped."}, None, UNFIT, "swapped"),
     ({"state": "failed", "reason": "too few points"}, None, UNFIT, "too few points"),

@@ -357,7 +357,7 @@ def test_without_independent_points_the_prediction_is_stated_and_called_one(
     tags = accuracy_tags(result)
     assert tags["ACCURACY_PREDICTED_BY"].endswith("not an independent test")
     assert "ACCURACY_RMSE_PX" not in tags
-    # Of several results, one that nothing tells the accuracy of keeps no other from its statement.
+    # Of several results, one of unknown accuracy keeps no other from its statement.
     folder = tmp_path / "several"
     (folder / "images").mkdir(parents=True)
     (tmp_path / "out").rename(folder / "images" / "a")

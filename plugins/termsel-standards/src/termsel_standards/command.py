@@ -91,7 +91,7 @@ def _stated_of_all(results: list[Result],
                 raise
             click.echo(f"{result.data.source}: not stated: {error.what}.", err=True)
     if not stated:
-        raise TermselError("nothing tells the accuracy of any of these results",
+        raise TermselError("the accuracy of none of these results can be estimated",
                            hint="Measure further points and give them the role independent.")
     return stated
 
