@@ -40,7 +40,7 @@ oblique: a map has none, and points of a photo from above are at about the same 
 
 CENTRAL_AFFINE_SHARE = 0.1
 """What a central projection leaves by what an affine transformation leaves, from which on down the
-points call for a camera near by: of images from orbit it is mostly more."""
+points support a camera near by: of images from orbit it is mostly more."""
 
 Describe = Callable[[Fit], str | None]
 """Returns one sentence on why the features support the method of a fit, if there is one."""
