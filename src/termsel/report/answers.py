@@ -291,8 +291,7 @@ def _legend(record: Record, view: View | None) -> Iterator[str]:
     if not record.data.counts.independent:
         return  # no column of theirs is to be explained
     if record.strategy or not objective or record.solver == "all-terms":  # nothing was minimised
-        if record.rmse.independent.n:
-            yield "Accuracy: the RMSE at independent check points."
+        yield "Accuracy: the RMSE at independent check points."
     elif objective == "check-rmse":
         yield ("The search minimised the RMSE at selection points, so it is optimistic; the "
                "accuracy is the RMSE at independent check points.")
