@@ -40,6 +40,7 @@ PAGES: dict[str, tuple[str, ...]] = {
     "lines": ("lines", "--processes", "2"),
     "old-maps": ("old_maps", "--processes", "2"),
     "rpc-few-points": ("rpc_few_points", "--workers", "2", "--cases", "40"),
+    "oblique": ("oblique", "--processes", "2", "--kept", KEPT),
     "blocks": ("blocks",),
     "hyperspectral": ("hyperspectral",),
     "sentinel-1": ("sentinel", "--whole", "0.2"),
