@@ -285,12 +285,12 @@ the better of a homography and a DLT, which nobody knows beforehand?
 
 `python -m benchmarks.oblique --write` makes this page.
 
-There are {seeds} scenes of each kind. Photographs have 4000 x 3000 px and a focal length of 2800 to 5000 px,
-600 m above the lowest ground; points have heights and noise of 0.5 px. Bird's-eye views are drawn
-by hand with smooth errors of {drawn:g} px, and panoramas are upright cylinders of 100 to 140
-degrees; their points have no heights and noise of {measured:g} px. The truth has no noise and lies
-within the hull of the control in the image; where points have no heights, no method has
-them. The homography and the DLT are least squares of distances in the image; five points do not
+There are {seeds} scenes of each kind. Photographs have 4000 x 3000 px and a focal length of 2800 to
+5000 px, 600 m above the lowest ground; points have heights and noise of 0.5 px. Bird's-eye views
+are drawn by hand with smooth errors of {drawn:g} px, and panoramas are upright cylinders of 100 to
+140 degrees; their points have no heights and noise of {measured:g} px. The truth has no noise and
+lies within the hull of the control in the image; where points have no heights, no method has them.
+The homography and the DLT are least squares of distances in the image; five points do not
 determine a DLT. A ratio is that of the RMSE of auto to the better of the two, in one scene.
 
 {table}
