@@ -3,7 +3,7 @@
 ``python -m benchmarks.uncertainty --write`` makes docs/evidence/uncertainty.md. Scenes are drawn
 for this page. The truth is without noise, at places within the hull of the control in the image.
 The first kinds were looked at while the prior of `termsel.fitting.misfit` was thought of; the
-others were drawn when it was fixed. With `--kept` a run resumes.
+others chose nothing. With `--kept` a run resumes.
 """
 
 from __future__ import annotations
@@ -293,7 +293,13 @@ these kinds at hand, in part the same.
 Twelve points do not tell a field that is shorter than their distance from noise, so that what is
 known of measurements beforehand divides their scatter. The same scatter of half a pixel comes from
 noise alone on a sound plane, where the stated deviations are then too large, and in part from a
-sheet that is bent locally, where they are too small. No prior is right for both.
+sheet that is bent locally, where they are too small. No prior is right for both. `termsel sigma`
+and the report say so where fewer than 20 points leave it open; columns `sigma_line` and
+`sigma_sample` decide it.
+
+A fault, as between two sheets, a tear or swaths of a scan, has no trace in the points unless they
+lie close to it on both sides. Few points may all agree with a sheet that is whole: then errors next
+to the fault are many standard deviations, and nothing can tell.
 """
 
 
