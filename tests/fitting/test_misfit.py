@@ -181,7 +181,7 @@ def test_errors_of_local_models_are_stated_for_rough_and_for_smooth_sheets(
 def test_few_points_of_unknown_noise_say_that_they_do_not_tell_it_from_deformation() -> None:
     features, _, _ = sheet(12, 2.0, 5)
     fitted = termsel.fit(features, "projective")
-    assert fitted.uncertainty_caveat.startswith("12 control points do not tell noise from local")
+    assert fitted.uncertainty_caveat.startswith("12 control points cannot distinguish noise")
     known = replace(features, points=replace(features.points, sigma=np.full((12, 2), 0.5)))
     assert termsel.fit(known, "projective").uncertainty_caveat == ""
     assert termsel.fit(sheet(40, 2.0, 5)[0], "projective").uncertainty_caveat == ""
