@@ -549,8 +549,8 @@ class Fit(Glance):
         if misfit is None or points.sigma is not None or len(points) >= UNDECIDED_POINTS \
                 or not UNDECIDED < misfit.probability < 1.0 - UNDECIDED:
             return ""
-        return (f"{len(points)} control points cannot distinguish noise from local deformation: with "
-                "noise alone the standard deviation is smaller, with local deformation larger. "
+        return (f"{len(points)} control points cannot distinguish noise from local deformation: "
+                "with noise alone the standard deviation is smaller, with local deformation larger. "
                 "More points, or columns sigma_line and sigma_sample, would decide.")
 
     def _ground_points(self, ground: ArrayLike) -> FloatArray:
