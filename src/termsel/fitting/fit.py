@@ -550,8 +550,8 @@ class Fit(Glance):
                 or not UNDECIDED < misfit.probability < 1.0 - UNDECIDED:
             return ""
         return (f"{len(points)} control points cannot distinguish noise from local deformation: "
-                "with noise alone the standard deviation is smaller, with local deformation larger. "
-                "More points, or columns sigma_line and sigma_sample, would decide.")
+                "with noise alone the standard deviation is smaller, with local deformation "
+                "larger. More points, or columns sigma_line and sigma_sample, would decide.")
 
     def _ground_points(self, ground: ArrayLike) -> FloatArray:
         """Return ground points (n, 3); a plane model also takes them without heights."""

@@ -122,7 +122,7 @@ def write_sigma(
         log.info("Uncertainty: %d x %d px of %g %s in %s, %s.",
                  *(grid.samples, grid.lines, grid.transform.a, grid.unit, grid.crs, precision))
         if result.fit.uncertainty_caveat:
-            log.info("%s", result.fit.uncertainty_caveat)
+            log.warning("Note: %s", result.fit.uncertainty_caveat)
         if nodes.error > TOLERANCE:
             log.warning("Warning: between the nodes of the finest grid the uncertainty differs by "
                         "up to %.0f %%. Give smaller --bounds.", 100 * nodes.error)
