@@ -50,7 +50,7 @@ def accuracy_lines(record: Record) -> list[str]:
     predicted = record.predicted if accuracy and not predicted_first(record) else \
         expected_of(record)
     if accuracy is None:
-        return _unverified(predicted)
+        return _unverified(record, predicted)
     if predicted is None:
         return [_measured(accuracy), *_doubts(record, accuracy)]
     if predicted_first(record):
@@ -108,8 +108,14 @@ def _between_points(record: Record) -> list[str]:
         f"the model meets the points of the lattice to {rounded(control.total)} px", unknown]
 
 
-def _unverified(predicted: Predicted | None) -> list[str]:
+def _unverified(record: Record, predicted: Predicted | None) -> list[str]:
     """Return what is known without independent check points."""
+    counts = record.data.counts
+    if predicted is None and record.strategy and record.adjustment.redundancy == 0 \
+            and counts.word == "points":
+        points = counted(counts.control + counts.check, "point")
+        return [f"not known: {points} determine{'s' * points.startswith('1 ')} the model exactly; "
+                "measure at least one more"]
     if predicted is None:
         return ["not known: no independent check points"]
     if predicted.high < _ROUNDING_PX:

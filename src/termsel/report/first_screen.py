@@ -40,6 +40,8 @@ _NO_FIT, _BLUNT = 0.01, 0.005
 an error that must be exceeded to be detected."""
 _CONTRADICTED = 2.0
 """Times the upper end of the predicted RMSE beyond which independent points contradict it."""
+AS_DELIVERED = "rpc-as-delivered"
+"""Baseline of an RPC without a correction."""
 _DEGREE_NAMES = {1: "affine", 2: "quadratic", 3: "cubic"}
 _DIMENSIONS = {"poly2d": "2-D", "poly3d": "3-D"}
 
@@ -351,7 +353,7 @@ def _against(record: Record, rival: BaselineRow) -> Iterator[str]:
         yield f"{name}{figure} in leave-one-out: {verdict}"
     else:
         yield f"{name} {rounded(rival_rmse)} px: {verdict}"
-    if _shift_of(record):
+    if _shift_of(record) and rival.name != AS_DELIVERED:
         yield from _as_delivered(record)
 
 
@@ -359,7 +361,7 @@ def _as_delivered(record: Record) -> Iterator[str]:
     """Yield the RMSE of the vendor's RPC without a correction."""
     for row in record.baselines:
         size = row.rmse.independent.total or row.predicted
-        if row.name == "rpc-as-delivered" and size is not None:
+        if row.name == AS_DELIVERED and size is not None:
             yield f"RPC as delivered: {rounded(size)} px"
 
 
@@ -436,8 +438,11 @@ def _warnings(record: Record) -> list[str]:
     heights = _on_heights(record)
     read = record.data.read
     doubt = read.doubt.casefold() if read else ""
+    exactly = " determine the model exactly"
+    is_exact_said = any(exactly in line for line in accuracy_lines(record))
     return [*_urgent(record), *(note for note in record.notes if note and not _is_shown(note)
                                 and note != heights
+                                and not (is_exact_said and exactly in note)
                                 and not (doubt and note.casefold().startswith(doubt))
                                 and not (reused and " no longer independent: " in note))]
 
