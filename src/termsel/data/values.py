@@ -56,7 +56,8 @@ def check_deviations(sigma: FloatArray, ids: Sequence[str], kind: str) -> None:
     """Refuse deviations that are not positive, or beyond what can be computed with."""
     # Their squares, and those of weights, must not overflow.
     _refuse(~((sigma > 1 / FARTHEST) & (sigma < FARTHEST)), ids, kind,
-            "a standard deviation that is not positive, or beyond what can be computed with")
+            "a standard deviation that is not positive, or beyond what can be computed with",
+            "Correct it, or leave the columns of standard deviations out.")
 
 
 def _refuse(is_bad: NDArray[np.bool_], ids: Sequence[str], kind: str, problem: str,

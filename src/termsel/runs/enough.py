@@ -75,6 +75,8 @@ def _others(observations: Observations) -> str:
     kinds = ((observations.check, "selection point"),
              (observations.independent, "independent check point"))
     others = [counted(len(features), noun) for features, noun in kinds if len(features)]
+    if observations.off:
+        others.append(f"{counted(len(observations.off), 'feature')} with the role off")
     return f", next to {' and '.join(others)}" if others else ""
 
 

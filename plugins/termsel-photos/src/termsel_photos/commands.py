@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from termsel import FeatureSet, TermselError, read
-from termsel.toolkit import echo, print_table, say_written, write_text
+from termsel.toolkit import counted, echo, print_table, say_written, write_text
 from termsel.toolkit.coordinates import LOCAL
 from termsel.toolkit.files import require_inside
 
@@ -132,5 +132,5 @@ def flight_camera(photos: tuple[Path, ...], crs: str | None, size: tuple[int, in
     write_text(output, json.dumps(content, indent=2) + "\n")
     echo(f"Focal length {camera.focal:,.1f} px, to {100 * camera.spread:.2g} %; "
          f"k1 {camera.k1:.3g}; "
-         f"{camera.sigma:.2g} px of {camera.points} points in {camera.photos} photos.")
+         f"{camera.sigma:.2g} px of {camera.points} points in {counted(camera.photos, 'photo')}.")
     say_written([output])

@@ -152,6 +152,8 @@ def _said(error: str) -> str:
     key = re.search(r"\.(\w+)`", location)
     if missing := re.match(r"Object missing required field `(.+?)`", problem):
         return f"the key {missing[1]!r}{of} is missing"
+    if unknown := re.match(r"Object contains unknown field `(.+?)`", problem):
+        return f"it has the key {unknown[1]!r}{of}, which is not known"
     if key and (wrong := re.match(r"Expected `(.+?)`, got `(.+?)`", problem)):
         expected_kinds = " or ".join(_KINDS.get(kind, kind) for kind in wrong[1].split(" | ")
                              if kind != "null")
