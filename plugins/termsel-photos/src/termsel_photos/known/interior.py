@@ -246,8 +246,9 @@ def _numbers(stated: Mapping[str, str], name: str, counts: Any) -> tuple[float, 
         numbers = ()
     if len(numbers) not in counts or not np.isfinite(numbers).all():
         raise TermselError(f"{name} does not accept {stated[name]!r:.80}",
-                           hint=f"It takes {' or '.join(map(str, counts))} numbers with commas "
-                                "between.")
+                           hint="It takes a number." if counts in ((1,), [1]) else
+                           f"It takes {' or '.join(map(str, counts))} numbers with commas "
+                           "between.")
     return numbers
 
 

@@ -14,7 +14,7 @@ from termsel import FeatureSet, TermselError, open_raster
 from termsel.toolkit import with_dataset
 from termsel.toolkit.coordinates import LOCAL, transformation
 from termsel_photos.known.cameras import CAMERAS
-from termsel_photos.known.interior import NAMES, OPTIONS
+from termsel_photos.known.interior import NAMES, OPTIONS, interior_of
 
 DIAGONAL = float(np.hypot(36.0, 24.0))
 """Of film of 36 mm by 24, to which equivalent focal lengths refer [mm]."""
@@ -49,8 +49,13 @@ class CameraOptions:
                                hint="Leave the options of the camera out.")
         columns = {name: np.array([value] * len(features.points), dtype=object)
                    for name, value in stated.items()}
-        return replace(features, points=replace(
+        described = replace(features, points=replace(
             features.points, attributes={**attributes, **columns}))
+        # What somebody types is refused where it cannot be understood; the choice of a model would
+        # only pass over this camera.
+        if any(options_given.get(name) is not None for name in NAMES):
+            interior_of(described)
+        return described
 
 
 def of_exif(image: Path, features: FeatureSet) -> dict[str, str]:
