@@ -143,7 +143,7 @@ def plane(tmp_path_factory: pytest.TempPathFactory) -> tuple[Result, Path]:
 
 @pytest.mark.parametrize(("option", "final", "words"), [
     ((), None, "all 40 points"), (("--final",), True, "all 40 points"),
-    (("--no-final",), False, "without independent check points")])
+    (("--no-final",), False, "without the independent check points")])
 def test_all_that_uses_a_result_takes_the_same_fit_and_says_which(
         plane: tuple[Result, Path], tmp_path: Path, option: tuple[str, ...], final: bool | None,
         words: str, caplog: pytest.LogCaptureFixture) -> None:
