@@ -68,6 +68,10 @@ _EXAMPLES = {
     "models": "termsel run --points FILE --model {name} --solver all-terms --out result",
     "solvers": "termsel run --problem rfm-terms --points FILE --solver {name} --out result",
     "criteria": "termsel run --problem rfm-terms --points FILE --criterion {name} --out result",
+    "methods": "termsel run --points FILE --method {name} --out result",
+    "objectives": "termsel run --problem rfm-terms --points FILE --solver nsga2 --set "
+                  "objectives=check-rmse,{name}",
+    "splits": "termsel run --points FILE --set roles={name} --out result",
     "datasets": "termsel run --dataset {name} --out result",
     "readers": "termsel run --points FILE --format {name} --out result",
     "writers": "termsel export result --to {name} --output FILE",
