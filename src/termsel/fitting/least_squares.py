@@ -39,6 +39,11 @@ class LeastSquares(Estimator):
     If `iterated`, it goes on from equations that hold to first order to the least squares of
     distances; else the fit is the one a search judges.
 
+    Parameters
+    ----------
+    iterated : bool
+        Whether to go on to the distances; otherwise the solution of the equations is the fit.
+
     Examples
     --------
     >>> import termsel
