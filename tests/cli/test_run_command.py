@@ -223,7 +223,7 @@ BAD_WORDS = {
     "strategy as problem": (["--problem", "auto"], "auto is a strategy: ask for --strategy auto"),
     "unknown option key": (
         ["--problem", "rfm-terms", "--set", "poulation=5"],
-        "unknown option 'poulation'. Did you mean 'population'? Known: check_as, "),
+        "unknown option 'poulation'. Did you mean 'population'?"),
     "value out of range": (
         ["--problem", "rfm-terms", "--set", "order=7"],
         "option 'order' does not accept '7'. Accepted: whole number from 1 to 3."),
@@ -233,12 +233,12 @@ BAD_WORDS = {
                   "--set order is given twice. Give it once."),
     "two files of points": (["--points", "a.csv", "--points=b.csv"],
                             "--points is given 2 times; it takes one value."),
-    "unknown model": (["--problem", "rfm-terms", "--model", "rpc"],
-                      "unknown model 'rpc'. Known: affine, dlt2d, "),
+    "unknown model": (["--problem", "rfm-terms", "--model", "xyz"],
+                      "unknown model 'xyz'. Known: affine, dlt2d, "),
     "unknown solver": (["--problem", "rfm-terms", "--solver", "gaa"],
                        "unknown solver 'gaa'. Did you mean 'ga'? Known: "),
     "unknown data set": (["--problem", "rfm-terms", "--dataset", "hamedan"],
-                         "unknown data set 'hamedan'. Did you mean 'ikonos-hamedan'? Known: "),
+                         "unknown data set 'hamedan'. Did you mean 'ikonos-hamedan'"),
     "negative seed": (["--problem", "rfm-terms", "--seed", "-1"],
                       "--seed is -1, expected a whole number of at least 0."),
     "no generations": (["--problem", "rfm-terms", "--generations", "0"],
@@ -251,6 +251,8 @@ BAD_WORDS = {
     "no role": (["--problem", "poly-terms", "--role", "P001=best"],
                 "unknown role 'best'. Known: check, control, independent, off. It stands in --role "
                 "P001=best."),
+    "role in capitals": (["--problem", "poly-terms", "--role", "P001=CHECK"],
+                         "unknown role 'CHECK'. Did you mean 'check'? Known: check, control, "),
     "two roles": (["--problem", "poly-terms", "--role", "P001=check", "--off", "P001"],
                   "'P001' is given the roles off and check. Give it one role."),
     "role of a line": (["--problem", "owdis-lines", "--role", "L001=check"],

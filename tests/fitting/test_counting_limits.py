@@ -176,6 +176,18 @@ def test_other_words_are_neither(text: str) -> None:
         Option("mixed", False, "", bool).parse(text)
 
 
+@pytest.mark.parametrize(("name", "near"), [
+    ("RPB", "'rpb'?"), ("rpc", "'rpb' or 'rpc-txt' or 'rpc-vrt'?"), ("stac-items-v2", "'stac'?"),
+    ("ply", "")])
+def test_names_that_may_be_meant_stand_without_a_long_list(name: str, near: str) -> None:
+    names = ["rpb", "rpc-txt", "rpc-vrt", "stac"]
+    few = str(unknown_name("writer", name, names))
+    guess = f"Did you mean {near} " if near else ""
+    assert few == f"unknown writer {name!r}. {guess}Known: rpb, rpc-txt, rpc-vrt, stac."
+    many = str(unknown_name("writer", name, [*names, *(f"{i:09d}" for i in range(30))]))
+    assert ("Known: " in many) is not bool(near)
+
+
 @pytest.mark.parametrize(("n", "end"), [(39, "n38."), (40, "n39."), (41, "n39 and 1 more."),
                                         (50, "n39 and 10 more.")])
 def test_an_unknown_name_lists_forty_known_ones(n: int, end: str) -> None:

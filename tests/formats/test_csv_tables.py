@@ -226,7 +226,11 @@ def test_bad_tables(tmp_path: Path, text: str | bytes, line: int | None, column:
     ((POINTS + A).encode("utf-16")[:-1], "UTF-16"),
     (b"1,2,3,4,5\n", "headed id,role,line,sample,x,y,z"),
     (b"# only a comment\n", "in no format that termsel knows"),
-    (b'{"type": "FeatureCollection"}', "in no format that termsel knows"),
+    (b'{"type": "FeatureCollection"}', "this is GeoJSON with no geometry"),
+    (b'{"type": "FeatureCollection", "features": [{"geometry": {"type": "Polygon"}}]}',
+     "this is GeoJSON with geometry of the type Polygon. termsel reads features of the type Point"),
+    (b"<html><body>404 Not Found</body></html>", "this file is a web page, not data"),
+    (b"\n<!DOCTYPE HTML>\n", "this file is a web page, not data"),
 ])
 def test_not_a_table(tmp_path: Path, content: bytes, words: str) -> None:
     assert words in str(refusal(tmp_path, content))

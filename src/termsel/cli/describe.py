@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable, Iterable, Mapping
+from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -47,7 +48,7 @@ def describe(name: str) -> None:
         known_names = []
         for kind in KINDS:
             known_names += names.names(kind)
-        raise unknown_name("name", name, known_names, names.hint(name, *KINDS))
+        raise _unknown(name, known_names, names.hint(name, *KINDS))
     # One name may be a model and a solver: all of them are described.
     for i, (kind, entry) in enumerate(entries):
         if i:
@@ -55,6 +56,22 @@ def describe(name: str) -> None:
         echo(f"{entry.name}: {KINDS[kind].word} of {entry.provided_by}")
         _lead(kind, entry)
         _DESCRIBE.get(kind, _describe_format)(entry)
+
+
+def _unknown(name: str, known_names: Iterable[str], hint: str) -> TermselError:
+    """Return the error for a name that nothing has; of all names only near ones are said."""
+    from termsel.plugins.kinds import KINDS
+
+    error = unknown_name("name", name, known_names, hint)
+    if "Did you mean" not in error.hint:
+        words = {word: kind for kind in KINDS for word in (kind, KINDS[kind].word)}
+        near = get_close_matches(name, words, n=1)
+        kind = words[near[0]] if near else "models"
+        example = f"termsel list {kind} shows those of the {kind}" if near else \
+            f"termsel list {kind} shows those of {kind}, and so on"
+        error.hint = f"{hint} Give the name of a problem, model, solver or other thing: " \
+                     f"{example}.".strip()
+    return error
 
 
 DATA = "data"

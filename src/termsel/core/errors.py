@@ -126,18 +126,33 @@ def cut(text: str, longest: int) -> str:
 MOST_NAMED = 40
 """Names a message lists before it stops."""
 
+MOST_BESIDE_NEAR = 25
+"""Names a message lists next to the nearest: of more, the nearest stands alone."""
+
 
 def unknown_name(kind: str, name: str, names_known: Iterable[str], hint: str = "") -> TermselError:
     """Return the error for a name of some kind that is not among the known, with the nearest."""
     names = sorted(set(names_known))
-    # Above 0.6 of matching characters the nearest name is a misspelling; below, any guess misleads.
-    near = get_close_matches(name, names, n=1, cutoff=0.6)
-    guess = f"Did you mean {near[0]!r}? " if near else ""
+    near = _near(name, names)
+    guess = f"Did you mean {' or '.join(map(repr, near))}?" if near else ""
     remainder = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
     listed = (f"Known: {', '.join(names[:MOST_NAMED])}{remainder}." if names
               else f"No {kind} is known here.")
-    return TermselError(f"unknown {kind} {name!r}", hint=f"{guess}{listed} {hint}".strip(),
-                        name=name)
+    if near and len(names) > MOST_BESIDE_NEAR:
+        listed = ""
+    return TermselError(f"unknown {kind} {name!r}", name=name,
+                        hint=" ".join(text for text in (guess, listed, hint) if text))
+
+
+def _near(name: str, names: Sequence[str]) -> list[str]:
+    """Return up to three names that may be meant: the nearest, and those that differ by words."""
+    # Above 0.6 of matching characters the nearest name is a misspelling; below, any guess misleads.
+    by_small_letters = {known.lower(): known for known in names}
+    small = name.lower()
+    near = get_close_matches(small, by_small_letters, n=1, cutoff=0.6)
+    near += [known for known in by_small_letters if known not in near
+             and (known.startswith(f"{small}-") or small.startswith(f"{known}-"))]
+    return [by_small_letters[known] for known in near[:3]]
 
 
 def raised(error: BaseException) -> str:

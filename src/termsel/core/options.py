@@ -211,7 +211,9 @@ def by_part(values: Mapping[str, Any],
         # Without a prefix every part that declares the name is meant; more than one is ambiguous.
         matching = [owner for owner in owners.get(name, ()) if prefix in ("", owner)]
         if not matching:
-            raise unknown_name("option", key, owners, package_of_option(name))
+            if of_package := package_of_option(name):
+                raise TermselError(f"unknown option {key!r}", hint=of_package, name=key)
+            raise unknown_name("option", key, owners)
         if len(matching) > 1:
             full_names = " or ".join(f"{owner}.{name}" for owner in matching)
             raise TermselError(f"{' and '.join(matching)} each have an option {name!r}",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
@@ -344,6 +345,7 @@ def find_reader(path: Path, readers: Iterable[type[Reader]], format: str | None 
     if is_utf16(head) and _recognising(
             path, head.decode("utf-16", errors="ignore").encode(), usable) is not None:
         raise utf16_error(path)
+    _refuse_other_content(path, head)
     error = unknown_table(path, EXPECTED, str((options or {}).get("columns", "")))
     if error is not None:
         raise error
@@ -353,6 +355,24 @@ def find_reader(path: Path, readers: Iterable[type[Reader]], format: str | None 
                        "knows",
                        file=path, hint=f"{EXPECTED} If it is a raster with control points, "
                        f"gdal-gcps reads it. {rasters}" if rasters else EXPECTED)
+
+
+def _refuse_other_content(path: Path, head: bytes) -> None:
+    """Refuse a web page, and GeoJSON of other geometry, which no reader takes."""
+    text = head.decode("utf-8-sig", errors="replace").lstrip()
+    if text[:14].lower().startswith(("<!doctype html", "<html")):
+        raise TermselError("this file is a web page, not data", file=path,
+                           hint="Often it stands for a download that failed: fetch the data again.")
+    if text.startswith("{") and '"FeatureCollection"' in text:
+        geometries = set(re.findall(r'"type"\s*:\s*"((?:Multi)?(?:Point|LineString|Polygon))"',
+                                    text))
+        if geometries & {"Point", "LineString"}:
+            return  # an annotation of another format
+        content = f"geometry of the type {' and '.join(sorted(geometries))}" if geometries else \
+            "no geometry"
+        raise TermselError(f"this is GeoJSON with {content}", file=path,
+                           hint="termsel reads features of the type Point or LineString with the "
+                                "image coordinates among their properties.")
 
 
 def _recognising(path: Path, head: bytes, readers: Sequence[Reader]) -> Reader | None:

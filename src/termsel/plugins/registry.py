@@ -189,7 +189,10 @@ class Registry:
         if missing := self.missing(name):
             return missing
         # A name of a plugin that fails is unknown for that reason.
-        broken = sorted({failure.distribution for failure in self.failures(*kinds)})
+        # What those of termsel's own provide is listed: others' may be any.
+        listed = parts.own_packages()
+        broken = sorted({failure.distribution for failure in self.failures(*kinds)
+                         if name in listed.get(canonical(failure.distribution), [name])})
         if not broken:
             return ""
         return (f"It may come from a plugin that does not work ({', '.join(broken)}): "

@@ -49,11 +49,14 @@ def require_enough(observations: Observations, recipe: Recipe, criterion: Criter
     if not np.ptp(control.image_vertices(), axis=0).any():
         raise TermselError("all control features have the same place in the image",
                            hint="Check that the columns line and sample hold image coordinates.")
+    if not np.ptp(control.ground_vertices()[:, :2], axis=0).any():
+        raise TermselError(
+            f"all {counted(len(control), 'control feature')} have the same place on the ground",
+            hint="Check that the columns x and y hold the position of each feature.")
     # The singular values of centred plan coordinates: the second is 0 on one straight line.
-    flat = np.ptp(control.ground_vertices()[:, :2], axis=0)
     spread = np.linalg.svd(control.ground_vertices()[:, :2]
                            - control.ground_vertices()[:, :2].mean(axis=0), compute_uv=False)
-    if not flat.any() or (len(control) > 2 and spread[1] < 1e-6 * spread[0]):
+    if len(control) > 2 and spread[1] < 1e-6 * spread[0]:
         raise TermselError("all control features lie on one straight line on the ground",
                            hint="Add control away from that line: a model needs an area.")
     # Lines measure across themselves alone.

@@ -82,13 +82,16 @@ def install_hint(package: str) -> str:
 
 
 def package_of_option(name: str) -> str:
-    """Return a sentence on the package that an option of ``--set`` comes with; "" if it is used."""
+    """Return a sentence on the package that an option of ``--set`` comes with; "" for none."""
     package = package_of_name(f"{SET} {name}")
     if not package:
         return ""
     if is_left_out(package):
         return f"It is an option of the package {package}, which {LEFT_OUT}: unset it."
-    return "" if _is_installed(package) else \
+    if _is_installed(package):
+        return (f"It is an option of the package {package}, of which this run uses no part that "
+                "takes it. Choose one with --model or --method, or leave it out.")
+    return \
         f"It is an option of the package {package}, which is not installed. {install_hint(package)}"
 
 

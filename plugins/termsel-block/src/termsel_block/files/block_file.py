@@ -92,8 +92,9 @@ def read_block(path: Path | str) -> Block:
     try:
         stated = msgspec.convert(table, type=_File)
     except msgspec.ValidationError as error:
+        _refuse_unknown_key(str(error), text, path)
         raise TermselError(f"this is not the file of a block: {_said(str(error))}", file=path,
-                           line=_line_of(str(error), text), hint=_EXAMPLE) from error
+                           hint=_EXAMPLE) from error
     names = [image.name for image in stated.image]
     _check_names(names, path)
     folder = path.parent
@@ -147,13 +148,10 @@ def _said(error: str) -> str:
     """Return what a decoder says, in the words of the file."""
     # msgspec says "... - at `$.image[3].rpc`": the number counts from one for people.
     problem, _, location = error.partition(" - at `$")
-    image = re.search(r"image\[(\d+)\]", location)
-    of = f" of image number {int(image[1]) + 1}" if image else ""
+    of = _of_image(location)
     key = re.search(r"\.(\w+)`", location)
     if missing := re.match(r"Object missing required field `(.+?)`", problem):
         return f"the key {missing[1]!r}{of} is missing"
-    if unknown := re.match(r"Object contains unknown field `(.+?)`", problem):
-        return f"it has the key {unknown[1]!r}{of}, which is not known"
     if key and (wrong := re.match(r"Expected `(.+?)`, got `(.+?)`", problem)):
         expected_kinds = " or ".join(_KINDS.get(kind, kind) for kind in wrong[1].split(" | ")
                              if kind != "null")
@@ -161,12 +159,29 @@ def _said(error: str) -> str:
     return error
 
 
-def _line_of(message: str, text: str) -> int | None:
-    """Return the line of an unknown key, of which a decoder says the name alone."""
-    key = re.search(r"unknown field `(.+?)`", message)
-    if key is None:
-        return None
-    states = re.compile(rf"\s*(\[\[?\s*)?[\"']?{re.escape(key[1])}[\"']?\s*[=\].]")
+def _of_image(location: str) -> str:
+    """Return which image a decoder's location lies in, such as " of image number 2"."""
+    image = re.search(r"image\[(\d+)\]", location)
+    return f" of image number {int(image[1]) + 1}" if image else ""
+
+
+def _refuse_unknown_key(message: str, text: str, path: Path) -> None:
+    """Refuse a key that no block has, with the nearest, if that is what a decoder says."""
+    unknown = re.match(r"Object contains unknown field `(.+?)`(.*)", message)
+    if unknown is None:
+        return
+    of_image = _of_image(unknown[2])
+    keys = (_Image if of_image else _File).__struct_fields__
+    near = get_close_matches(unknown[1], keys, n=1)
+    guess = f"Did you mean {near[0]!r}? " if near else ""
+    raise TermselError(f"unknown key {unknown[1]!r}{of_image or ' of a block'}", file=path,
+                       line=_line_of(unknown[1], text),
+                       hint=f"{guess}Known: {', '.join(keys)}.")
+
+
+def _line_of(key: str, text: str) -> int | None:
+    """Return the line of a key, of which a decoder says the name alone."""
+    states = re.compile(rf"\s*(\[\[?\s*)?[\"']?{re.escape(key)}[\"']?\s*[=\].]")
     return next((number for number, line in enumerate(text.splitlines(), 1)
                  if states.match(line)), None)
 
