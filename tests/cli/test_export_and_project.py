@@ -136,6 +136,7 @@ def test_image_the_points_were_not_measured_in(folder: Path, tmp_path: Path) -> 
 @pytest.mark.parametrize(("arguments", "message"), [
     (["--to", "rpb"], "the format rpb cannot hold this result. It needs a model of ground "
                       "coordinates in a CRS"),
+    (["--to", "geotiff"], "A rectified image is written by termsel rectify."),
     (["--to", "rbp"], "unknown writer 'rbp'. Did you mean 'rpb'?"),
     (["--to", "qgis-points", "--set", "dam=x.tif"], "unknown option 'dam'"),
     (["--to", "gcp-grid-vrt", "--set", "across=many"], "option 'across' does not accept 'many'"),

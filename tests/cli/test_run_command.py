@@ -227,6 +227,9 @@ BAD_WORDS = {
     "value out of range": (
         ["--problem", "rfm-terms", "--set", "order=7"],
         "option 'order' does not accept '7'. Accepted: whole number from 1 to 3."),
+    "option of another model": (
+        ["--problem", "rfm-terms", "--set", "degree=2"],
+        "'degree' is an option of the model poly2d or poly3d"),
     "not KEY=VALUE": (["--problem", "rfm-terms", "--set", "order"],
                       "--set 'order' is not of the form KEY=VALUE. For example --set population="),
     "set twice": (["--problem", "rfm-terms", "--set", "order=1", "--set", "order=2"],

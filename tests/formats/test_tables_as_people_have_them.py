@@ -281,7 +281,8 @@ def test_a_hostile_file_gives_one_message(kind: str, tmp_path: Path) -> None:
      "line 5, column 'Lon': the cell is blank"),
     (lambda p: sheet(p, [*values(EN.split("|")), ["P99", "=A1+1", 47.0, 1.0, 2.0, 3.0]]),
      "column 'Lon': the cell is blank"),
-    (lambda p: p.write_bytes(b"PK\x03\x04"), "this spreadsheet cannot be read")])
+    (lambda p: p.write_bytes(b"PK\x03\x04" + b"x" * 99),
+     "this spreadsheet cannot be read: it is damaged, or no spreadsheet")])
 def test_a_hostile_spreadsheet_gives_one_message(make: Callable[[Path], None], message: str,
                                                  tmp_path: Path) -> None:
     pytest.importorskip("python_calamine")

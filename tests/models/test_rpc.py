@@ -244,6 +244,7 @@ def test_rays_that_miss_have_no_place() -> None:
     (rpc_txt_text(_simple()).replace("SAMP_OFF: 200.0", "SAMP_OFF: nan"), "is not finite"),
     (rpc_txt_text(_simple()).replace("SAMP_OFF: 200.0", "SAMP_OFF:"), "lacks SAMP_OFF"),
     (rpb_text(_simple())[:150], "the RPC lacks"),
+    (rpb_text(_simple()).partition(")")[0], "the file breaks off within lineNumCoef. Fetch it"),
     (rpb_text(_simple()).replace("\t1.0,\n", "", 1), "LINE_DEN_COEFF has 19 numbers"),
     ("<Dimap_Document><Global", "this XML cannot be read"),
     ("<Dimap_Document></Dimap_Document>", "has no Global_RFM"),

@@ -169,6 +169,7 @@ def test_plan_among_given_places(folder: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("text", "words"), [
     (None, "does not exist"), ("id,x,y\nA,1,2\n", "no column"),
+    ("id,line,sample\nA,1,2\n", "image positions; ground positions x,y,z are needed"),
     ("id,x,y,z\nA,59.6,36.3,\n", "height is blank"),
     ("# crs: EPSG:32640\nid,x,y,z\nA,1,2,3\n", "declares the CRS")])
 def test_bad_candidates_give_one_message(folder: Path, tmp_path: Path, text: str | None,

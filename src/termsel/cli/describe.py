@@ -63,7 +63,7 @@ def _unknown(name: str, known_names: Iterable[str], hint: str) -> TermselError:
     from termsel.plugins.kinds import KINDS
 
     error = unknown_name("name", name, known_names, hint)
-    if "Did you mean" not in error.hint:
+    if "Did you mean" not in str(error):
         words = {word: kind for kind in KINDS for word in (kind, KINDS[kind].word)}
         near = get_close_matches(name, words, n=1)
         kind = words[near[0]] if near else "models"

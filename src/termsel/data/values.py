@@ -55,8 +55,14 @@ def check_heights(z: FloatArray, ids: Sequence[str], kind: str) -> None:
 def check_deviations(sigma: FloatArray, ids: Sequence[str], kind: str) -> None:
     """Refuse deviations that are not positive, or beyond what can be computed with."""
     # Their squares, and those of weights, must not overflow.
-    _refuse(~((sigma > 1 / FARTHEST) & (sigma < FARTHEST)), ids, kind,
-            "a standard deviation that is not positive, or beyond what can be computed with",
+    is_bad = ~((sigma > 1 / FARTHEST) & (sigma < FARTHEST))
+    if not is_bad.any():
+        return
+    value = sigma[is_bad][0]
+    fault = "beyond what can be computed with" if value > 0 else "not positive"
+    axes = np.argwhere(is_bad)[0, 1:]  # none of a line
+    name = ("sigma_line", "sigma_sample")[axes[0]] if len(axes) else "sigma"
+    _refuse(is_bad, ids, kind, f"{name} {value:g}, a standard deviation that is {fault}",
             "Correct it, or leave the columns of standard deviations out.")
 
 

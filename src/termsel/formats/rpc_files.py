@@ -250,6 +250,9 @@ def from_items(items: Mapping[str, str]) -> Rpc:
         # 20 numbers in one item, or an item each.
         if name not in items:
             return tuple(number_of(f"{name}_{i + 1}") for i in range(N_COEFFICIENTS))
+        if "(" in items[name] and ")" not in items[name]:
+            raise TermselError(f"the file breaks off within {RPB_NAMES.get(name, name)}",
+                               hint="Fetch it again.")
         numbers = tuple(_number(text, name) for text in _NUMBERS.findall(items[name]))
         if len(numbers) != N_COEFFICIENTS:
             raise TermselError(f"{name} has {len(numbers)} numbers, expected {N_COEFFICIENTS}",

@@ -77,7 +77,7 @@ def project_table(
         try:
             ids, ground = read_ground(result, path, columns)
         except TermselError as error:
-            if _has_image_positions(path, columns):
+            if _lacks_a_column(error) and _has_image_positions(path, columns):
                 error.hint = ("These are image positions: add --inverse, with --dem FILE or "
                               "--height H, for ground positions.")
             raise
@@ -146,7 +146,13 @@ def read_ground(result: Result, path: Path, columns: str = "") -> tuple[list[str
     model = result.fit.model
     crs = result.fit.control.crs
     names = ("x", "y", "z") if model.uses_height else ("x", "y")
-    table = _table(path, columns, *names)
+    try:
+        table = _table(path, columns, *names)
+    except TermselError as error:
+        if _lacks_a_column(error) and _has_image_positions(path, columns):
+            error.hint = f"These are image positions; ground positions {','.join(names)} are " \
+                "needed. termsel project --inverse computes them."
+        raise
     if table.crs and normalise(crs) not in (table.crs, with_stated_heights(table.crs, crs)):
         raise TermselError(f"the file declares the CRS {table.crs}, but the control is in {crs}",
                            file=path, hint="Transform the points to the CRS of the control.")
@@ -157,6 +163,10 @@ def read_ground(result: Result, path: Path, columns: str = "") -> tuple[list[str
     if blank.size:
         raise table.error("the height is blank, but the model requires it", int(blank[0]), "z")
     return table.ids(), ground
+
+
+def _lacks_a_column(error: TermselError) -> bool:
+    return error.what.startswith("there is no column")
 
 
 def _has_image_positions(path: Path, columns: str) -> bool:

@@ -188,6 +188,8 @@ class Registry:
             return "auto is a strategy: ask for --strategy auto, the default of rfm-terms."
         if missing := self.missing(name):
             return missing
+        if kinds == ("writers",) and "tif" in name.lower():
+            return "A rectified image is written by termsel rectify."
         # A name of a plugin that fails is unknown for that reason.
         # What those of termsel's own provide is listed: others' may be any.
         listed = parts.own_packages()

@@ -31,9 +31,11 @@ def require_enough(observations: Observations, recipe: Recipe, criterion: Criter
     control = observations.control
     check = observations.check
     if len(control) < fewest:
+        others = _others(observations)
         raise TermselError(
-            f"{_given(control)}{_others(observations)}; {recipe.name} needs at least {fewest}",
-            hint="Measure more, or give more features the role control."
+            f"{_given(control)}{others}; {recipe.name} needs at least {fewest}",
+            hint=("Measure more, or give more features the role control." if others
+                  else "Measure more.")
                  + " Or choose by leave-one-out, without selection points: --criterion press."
                  * criterion.needs_check
                  + CORRECTED * ("rpc" in model.options))

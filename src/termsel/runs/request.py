@@ -205,8 +205,9 @@ def _refuse_of_others(settings: Mapping[str, Any], names: Container[str]) -> Non
             if owners:
                 role = KINDS[kind].word
                 raise TermselError(
-                    f"{key!r} is an option of the {role} {' and '.join(owners[:3])}, which this "
-                    "run does not use", hint=f"Add --{role} {owners[0]}, or leave it out.",
+                    f"{key!r} is an option of the {role} {' or '.join(owners[:3])}, which this "
+                    "run does not use",
+                    hint=f"Choose --{role} {owners[0]}, or leave {key} out.",
                     name=key)
 
 

@@ -180,8 +180,10 @@ def read_errors(path: Path | str) -> GroundErrors:
         raise TermselError(f"this table cannot be read: {error}", file=path,
                            hint="Save it again as CSV.") from None
     if not rows or not {"dx", "dy"} <= set(rows[0]):
+        header = f"The columns here are: {', '.join(filter(None, rows[0]))}. " if rows else ""
         raise TermselError("this is no table of errors with the columns dx and dy", file=path,
-                           hint="Head it id,dx,dy or id,dx,dy,dz,x,y,sigma_x,sigma_y,sigma_z.")
+                           hint=f"{header}dx and dy are computed minus surveyed positions [m]: "
+                                "id,dx,dy or id,dx,dy,dz,x,y,sigma_x,sigma_y,sigma_z.")
     ids = tuple(row.get("id", "").strip() or str(i) for i, row in enumerate(rows, 1))
     # A column of heights that is all blank is none.
     axes = AXES if any(row.get("dz", "").strip() for row in rows) else AXES[:2]

@@ -324,7 +324,8 @@ def _sheets(path: Path, layer: str | None,
                 name: _filled_rows(book.get_sheet_by_name(name).to_python(skip_empty_area=False))
                 for name in names if layer in (None, name)}
     except (CalamineError, OSError, ValueError) as error:
-        raise TermselError(f"this spreadsheet cannot be read: {error}", file=path,
+        reason = "it is damaged, or no spreadsheet" if "zip" in str(error).lower() else error
+        raise TermselError(f"this spreadsheet cannot be read: {reason}", file=path,
                            hint="Save it again, or as CSV.") from None
 
 

@@ -114,11 +114,13 @@ def _columns(path: Path | None, line: int | None, header: Sequence[str], rows: l
         elif not may_be_missing:
             # Advice needs what is known, though some of it may be ambiguous.
             last_by_name = {name: indices[-1] for name, indices in by_name.items() if indices}
-            error = _missing(path, line, header, meaning, aliases)
             # Nobody can declare a column of deviations that is not there.
             if needs_other_sigma:
-                error.hint = f"{error.hint} Or remove the other column of standard deviations."
-                raise error
+                other = {"sigma_line": "sigma_sample", "sigma_sample": "sigma_line"}[meaning]
+                raise TermselError(f"{other} needs the column {meaning} beside it", file=path,
+                                   line=line, column=meaning,
+                                   hint=f"Add {meaning}, or remove {other}.")
+            error = _missing(path, line, header, meaning, aliases)
             raise with_advice(error, header, rows,
                               {**last_by_name, **stated}, aliases, fixed)
     # Said once the table can be read: the columns of one that cannot are looked for again.
