@@ -285,6 +285,7 @@ def test_plugins_are_listed_with_what_is_wrong(call, with_plugins):
     (["list", "model"], "or writers. Did you mean 'models'?"),
     (["new-plugin", "mine", "--kind", "modle"], "kind of plugin 'modle'. Did you mean 'model'?"),
     (["--colour"], "there is no option --colour."),
+    (["plot", "--bounds", "1"], "there is no option --bounds. Known: --output, "),
     (["describe", "rfn"], "Error: unknown name 'rfn'. Did you mean 'rfm'?\n"),
     (["describe", "modle"], "Error: unknown name 'modle'. Give the name of a problem, model, "
      "solver or other thing: termsel list models shows those of the models."),

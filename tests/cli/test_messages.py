@@ -71,6 +71,7 @@ def test_no_option_of_any_command_answers_in_words_of_python() -> None:
     (["--strategy", "aut"], "--strategy is 'aut', expected auto or as-asked. Did you mean "
                             "'auto'?"),
     (["--outt", "x"], "there is no option --outt. Did you mean --out?"),
+    (["--qqq", "x"], "there is no option --qqq."),
     (["--points"], "--points has no value. Type --points FILE."),
     (["--quiet=1"], "--quiet takes no value.")])
 def test_an_option_that_cannot_be_read_is_named_with_a_remedy(words: list[str],

@@ -60,8 +60,18 @@ def _first_sentence(option: click.Option) -> str:
 
 def _no_such_option(error: click.NoSuchOption) -> str:
     near = get_close_matches(error.option_name, error.possibilities or (), n=1, cutoff=0.0)
-    question = f" Did you mean {near[0]}?" if near else ""
-    return f"there is no option {error.option_name}.{question}"
+    if near:
+        return f"there is no option {error.option_name}. Did you mean {near[0]}?"
+    params = error.ctx.command.params if error.ctx is not None else ()
+    options = [max(param.opts, key=len) for param in params
+               if isinstance(param, click.Option) and not param.hidden]
+    # A command of many options is left to its help.
+    listed = f" Known: {', '.join(options)}." if 0 < len(options) <= _MOST_OPTIONS else ""
+    return f"there is no option {error.option_name}.{listed}"
+
+
+_MOST_OPTIONS = 20
+"""Options of a command that a message lists."""
 
 
 def _without_value(error: click.BadOptionUsage) -> str:
