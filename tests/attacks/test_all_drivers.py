@@ -148,7 +148,7 @@ def test_a_raster_apart_says_what_is_wrong_with_it(folder: Path) -> None:
     content = path.read_bytes()
     path.write_bytes(content[:len(content) // 2] + b"\0" * (len(content) - len(content) // 2))
     (folder / "a.vrt").write_text(vrt("a.tif", 1).replace('"60"', '"600"'))
-    with pytest.raises(TermselError, match="cannot read this raster"), \
+    with pytest.raises(TermselError, match="cannot be read: it is incomplete or damaged"), \
             open_raster(folder / "a.vrt") as raster:
         raster.read(1)
     image(folder / "b.tif")

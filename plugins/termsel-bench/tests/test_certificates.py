@@ -393,7 +393,7 @@ def test_the_whole_theorem_is_printed_before_what_is_proved(
                  f"limit of the sum of squared errors: {made['limit']:.12g}"):
         assert said in text
         assert said not in "\n".join(lines[start:])
-    assert any("decided by" in line for line in lines[start:])
+    assert any("enumerated or excluded" in line for line in lines[start:])
 
 
 @pytest.mark.parametrize(("change", "said"), [
