@@ -120,6 +120,14 @@ def test_the_uncertainty_is_less_where_the_control_shows_the_misfit() -> None:
     assert covariance[0, 0] < 0.5 * covariance[1, 1]
 
 
+def test_beyond_the_control_a_misfit_has_an_end() -> None:
+    features, _, _ = sheet(60, 3.0, 1)
+    misfit = termsel.fit(features, "projective").misfit
+    assert misfit is not None
+    far, farther = (np.sqrt(misfit.squares(np.full((1, 2), distance))) for distance in (5.0, 50.0))
+    np.testing.assert_allclose(far, farther, rtol=0.01)
+
+
 def test_noise_alone_has_no_misfit_that_matters() -> None:
     rng = np.random.default_rng(3)
     image = rng.uniform(-1.0, 1.0, (120, 2))

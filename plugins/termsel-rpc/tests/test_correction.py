@@ -69,7 +69,8 @@ def wrong(rpc: Rpc, ground: FloatArray, width: int) -> FloatArray:
                          [("rpc-shift", 1), ("rpc-drift", 2), ("rpc-affine", 3)])
 def test_sigma_of_a_correction_is_true_beyond_its_points(model: str, width: int) -> None:
     # A free polynomial predicts some of these points a little better, and by chance. It knows
-    # nothing of the rest of the image, where it said 20 px.
+    # nothing of the rest of the image, where it said 20 px; nor does the trend of a misfit, which
+    # said 5 px.
     rpc = read_rpc(RPC_FILE)
     steps = np.linspace(-1, 1, 5)
     places = np.stack([axis.ravel() for axis in np.meshgrid(steps, steps)], axis=1)
@@ -88,7 +89,9 @@ def test_sigma_of_a_correction_is_true_beyond_its_points(model: str, width: int)
         sigma = fitted.sigma(ground)
         assert sigma.max() < 1.5
         ratios.append((away / sigma)**2)
-    assert 0.4 < np.mean(ratios) < 2.5
+    # The points do not exclude a small misfit, and sigma counts its probability of a tenth; here
+    # there is none, which is most of the little that is left of the errors of a shift.
+    assert 0.25 < np.mean(ratios) < 2.5
 
 
 def test_jitter_is_a_candidate_that_keeps_the_rules_and_finds_it() -> None:

@@ -73,9 +73,11 @@ class LocalCourses:
     def squares(self, ground: FloatArray, image: FloatArray) -> FloatArray:
         """Return the mean square errors, (m, 2), of a model that sees places in the image."""
         positions = _affine(ground) @ self.to_image
+        trend = trend_of(positions, len(self.positions))
         total = np.zeros((len(ground), 2))
         for course in self.courses:
-            total += course.squares(positions, self.positions, image - positions)
+            columns = course.columns(positions, self.positions, trend)
+            total += course.squares(columns, image - positions)
         return total
 
 

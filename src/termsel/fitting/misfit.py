@@ -22,8 +22,9 @@ control, by s^2, and the trend of a place, and M = [[S, T], [T', 0]], it has und
     the mean c' M^-1 (r, 0) and the variance s^2 (ratio^2 - c' M^-1 c),
 
 of which s^2 t' (T' T)^-1 t would be there without a field, and is part of the model's own variance
-already. Averaged over all solutions, the square of the one and the other are what the model misses:
-close to control it is seen, and far away it is as large as it can be.
+already. The field is bounded, so that its trend ends with the control: t is that of the nearest
+place in the box of the control. Averaged over all solutions, the square of the one and the other
+are what the model misses: close to control it is seen, and far away it is as large as it can be.
 
 Few residuals do not tell a field of short length from noise. Then their scatter is divided by what
 is known beforehand: a measurement in an image is good to about half a pixel, and a scatter of
@@ -149,16 +150,16 @@ class Course:
     weights: FloatArray
     means: FloatArray
 
-    def columns(self, places: FloatArray, positions: FloatArray) -> FloatArray:
+    def columns(self, places: FloatArray, positions: FloatArray, trend: FloatArray) -> FloatArray:
         """Return the covariances of places (m, 2) to those of the control, and their trend."""
-        return np.column_stack([matern(places, positions, self.lengths, self.smoothness),
-                                trend_of(places, len(positions))])
+        return np.column_stack([matern(places, positions, self.lengths, self.smoothness), trend])
 
-    def squares(self, places: FloatArray, positions: FloatArray,
-                deviations: FloatArray | float) -> FloatArray:
-        """Return the mean squares of field and trend less deviations, times the share, (m, 2)."""
-        columns = self.columns(places, positions)
-        squares = np.zeros((len(places), 2))
+    def squares(self, columns: FloatArray, deviations: FloatArray | float) -> FloatArray:
+        """Return the mean squares of field and trend less deviations, times the share, (m, 2).
+
+        The columns (m, n + f) are those of the places.
+        """
+        squares = np.zeros((len(columns), 2))
         for axis in (0, 1):
             explained = ((columns @ self.explained[axis]) * columns).sum(axis=1)
             means = columns @ self.means[:, :, axis].T                                  # (m, r)
@@ -232,19 +233,26 @@ class Misfit:
     def squares(self, image: FloatArray) -> FloatArray:
         """Return the mean square of what the model misses at places in the image, (m, 2)."""
         total = np.zeros((len(image), 2))
+        trend = self._trend(image)
         for course in self.courses:
-            total += course.squares(image, self.positions, 0.0)
+            total += course.squares(course.columns(image, self.positions, trend), 0.0)
         return total
 
     def covariance(self, image: FloatArray, axis: int) -> FloatArray:
         """Return the covariance of what the model misses among places in the image, (m, m)."""
         total = np.zeros((len(image), len(image)))
+        trend = self._trend(image)
         for course in self.courses:
-            columns = course.columns(image, self.positions)
+            columns = course.columns(image, self.positions, trend)
             total += course.variance[axis] * matern(image, image, course.lengths,
                                                     course.smoothness) \
                 - columns @ course.explained[axis] @ columns.T
         return total
+
+    def _trend(self, image: FloatArray) -> FloatArray:
+        """Return the trend of what is missed at places: beyond the control that of its edge."""
+        nearest = np.clip(image, self.positions.min(axis=0), self.positions.max(axis=0))
+        return trend_of(nearest, len(self.positions))
 
 
 def misfit_of(image: FloatArray, residuals: FloatArray, noise: NoisePrior,
