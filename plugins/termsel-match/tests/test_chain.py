@@ -177,6 +177,14 @@ def test_the_rpc_of_a_result_is_refined_again(place: Any, tmp_path: Path) -> Non
     assert errors[1] < 0.5 * errors[0]
 
 
+def test_the_rpc_of_a_start_is_read_once_for_all_fits(place: Any) -> None:
+    model, options = model_for(place / "image.RPB", place / "image.tif")
+    made = termsel.get("models", model)
+    by_file = made(rpc=str(place / "image.RPB"))
+    assert options == {"rpc": by_file.options["rpc"]}
+    assert made(**options).source == by_file.source
+
+
 def test_a_folder_that_cannot_be_made_is_refused_at_once(place: Any, says: Any,
                                                          tmp_path: Path) -> None:
     code, text = says("auto-georeference", place / "image.tif", "--reference", place / "ortho.tif",

@@ -406,3 +406,16 @@ def test_local_coordinates_are_refused() -> None:
     ground = ground_of(rpc, 15)
     with pytest.raises(TermselError, match="without a CRS"):
         refined("rpc-shift", DATASET_NAME, ground, rpc.project(ground), crs="local")
+
+
+def test_an_rpc_that_was_replaced_next_to_its_image_is_read_again(tmp_path: Path) -> None:
+    rasterio = pytest.importorskip("rasterio", reason="extra gis is not installed")
+    image = tmp_path / "scene.tif"
+    with rasterio.open(image, "w", driver="GTiff", width=4, height=4, count=1,
+                       dtype="uint8") as raster:
+        raster.write(np.zeros((1, 4, 4), dtype=np.uint8))
+    rpc = read_rpc(RPC_FILE)
+    moved = replace(rpc, image_offset=(rpc.image_offset[0] + 100.0, rpc.image_offset[1]))
+    for stated in (rpc, moved):
+        (tmp_path / "scene.RPB").write_text(rpb_text(stated), encoding="utf-8")
+        assert RpcShift(rpc=str(image)).rpc.image_offset == pytest.approx(stated.image_offset)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import asdict, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -223,8 +224,8 @@ def model_for(start: Path | str | None, image: Path) -> tuple[str, dict[str, Any
     # A start of another kind, which match_points has read.
     with suppress(TermselError):
         if path.is_file():
-            read_rpc(path)
-            return "rpc-drift", {"rpc": str(path)}
+            # The RPC itself: dozens of fits would read its file again, each with all notes on it.
+            return "rpc-drift", {"rpc": json.dumps(asdict(read_rpc(path)))}
     return "affine", {}
 
 

@@ -358,12 +358,12 @@ def next_run(start: str | None, image: Path, lines: Path) -> str:
     """Return the command that selects among candidate lines, of which most may be wrong."""
     from termsel_match.chain import model_for
 
-    model, options = model_for(start, image)
+    model, _ = model_for(start, image)
     rpc = ""
     if model == "rpc-drift":
         # A result keeps its RPC in its own files, whose name the user has to give.
         of_result = start is not None and Path(start).is_dir()
-        rpc = f" --set rpc={'RPC_FILE' if of_result else quote(options['rpc'])}"
+        rpc = f" --set rpc={'RPC_FILE' if of_result else quote(str(start or image))}"
     return (f"termsel run --problem matched-lines --model {model}{rpc} --lines {quote(str(lines))} "
             "--out result")
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, replace
-from functools import lru_cache
 from itertools import product
 from pathlib import Path
 from typing import Any, ClassVar
@@ -31,20 +30,6 @@ _AXES = ("line", "sample")
 _EDGE_PLACES, _EDGE_MARGIN, _LOST = 12, 0.1, 0.01
 """Places along each edge of an RPC's area where another one is fitted, the share of the image
 beyond its edges, and the largest difference [px]."""
-
-
-def _rpc_of(named: str) -> Rpc:
-    """Return the RPC of a file, which models of one run read again and again."""
-    # NAME#BAND is the RPC of a band of the file NAME.
-    file = Path(named.partition("#")[0])
-    stat = file.stat() if file.is_file() else None
-    return _rpc_of_state(named, None if stat is None else (stat.st_mtime_ns, stat.st_size))
-
-
-@lru_cache(maxsize=4)
-def _rpc_of_state(named: str, state: tuple[int, int] | None) -> Rpc:  # noqa: ARG001
-    """Return the RPC of a file in a state; what is said of it is said once."""
-    return read_rpc(named)
 
 
 class RpcShift(Refinement):
@@ -91,7 +76,7 @@ class RpcShift(Refinement):
         elif named.startswith("{"):
             self._rpc, self._file = _from_record(named)
         elif named:
-            self._rpc = _rpc_of(named)
+            self._rpc = read_rpc(named)
             self._file = Path(named).name
             # A result must be readable without the vendor's file.
             self.options["rpc"] = json.dumps(asdict(self._rpc))
