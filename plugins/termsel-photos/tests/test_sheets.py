@@ -77,6 +77,23 @@ def test_a_map_across_180_degrees_has_candidates_of_its_place() -> None:
     assert from_greenwich(west, -77.05).points.ground[0, 0] == pytest.approx(142.95)
 
 
+def test_independent_points_do_not_say_which_projections_are_tried() -> None:
+    ground = np.array([[7.0, 45.0, np.nan], [8.0, 46.0, np.nan], [20.0, 50.0, np.nan]])
+    points = Points(("A", "B", "C"), np.zeros((3, 2)), ground,
+                    roles=("control", "control", "independent"))
+    features = FeatureSet(points, crs="EPSG:4326")
+    control = features.with_(points=points.take([True, True, False]))
+    assert candidates_of([features], None, None) == candidates_of([control], None, None)
+    # Nor of how many turns longitudes are from Greenwich.
+    far = np.array([[190.0, 45.0, np.nan], [300.0, 46.0, np.nan], [310.0, 50.0, np.nan]])
+    points = replace(points, ground=far, roles=("control", "independent", "independent"))
+    moved = from_greenwich(features.with_(points=points), -20.0)
+    assert moved.points.ground[0, 0] == pytest.approx(170.0)
+    independent = features.with_(points=points.take([False, True, True]))
+    with pytest.raises(TermselError, match="no map has control points"):
+        candidates_of([independent], None, None)
+
+
 def test_the_projection_of_a_map_is_found(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     candidates = tmp_path / "mine.txt"
     candidates.write_text(EVERY, encoding="utf-8")

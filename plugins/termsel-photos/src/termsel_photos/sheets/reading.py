@@ -13,6 +13,7 @@ import numpy as np
 from termsel import FeatureSet, Option, TermselError
 from termsel.toolkit import FloatArray
 from termsel.toolkit.coordinates import is_geographic, normalise, to_wgs84
+from termsel_photos.roles import without_independent
 from termsel_photos.sheets.candidates import (
     Projection,
     projections_of_file,
@@ -113,8 +114,7 @@ def from_greenwich(features: FeatureSet, meridian: float) -> FeatureSet:
     if not is_geographic(features.crs):
         raise TermselError(f"longitudes in degrees have a prime meridian, not {features.crs}",
                            hint="Leave prime_meridian out, or state --crs EPSG:4326.")
-    longitudes = np.concatenate([features.points.ground[:, 0],
-                                 features.lines.ground[..., 0].ravel()])
+    longitudes = without_independent(features).ground_vertices()[:, 0]
     # Whole turns, lest a map west of its meridian by more than that comes to lie below -180.
     turns = np.floor((np.median(longitudes) + meridian + 180.0) / 360.0) if len(longitudes) else 0.0
     shift = [meridian - 360.0 * turns, 0.0, 0.0]
@@ -134,14 +134,23 @@ def candidates_of(sheets: list[FeatureSet], file: str | None,
 def places_of_sheets(sheets: list[FeatureSet]) -> FloatArray:
     """Return the south-western and north-eastern corner of all sheets [deg], (2, 2).
 
-    Across 180 degrees the eastern longitude is larger than that.
+    Independent points take no part: the places say which projections are tried. Across 180 degrees
+    the eastern longitude is larger than that.
+
+    Raises
+    ------
+    TermselError
+        If no sheet has features that take part.
     """
     vertices = []
-    for sheet in sheets:
+    for sheet in map(without_independent, sheets):
         ground = sheet.ground_vertices().copy()
         ground[:, 2] = 0.0
         vertices.append(to_wgs84(sheet.crs)(ground)[:, :2])
     degrees = np.concatenate(vertices)
+    if not len(degrees):
+        raise TermselError("no map has control points, which tell what projections to try",
+                           hint="Measure control points, or state the projection.")
     # Less than half a turn from the first.
     first = degrees[0, 0]
     degrees[:, 0] = first + (degrees[:, 0] - first + 180.0) % 360.0 - 180.0
