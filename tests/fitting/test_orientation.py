@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from termsel.data.record.figures import SensorFigure
 from termsel.data.scaling import Scaling
-from termsel.fitting.orientation import angles_of, exterior_orientation
+from termsel.fitting.orientation import angles_of, camera_figures, exterior_orientation
 
 
 def turned(axis: int, degrees: float) -> np.ndarray:
@@ -41,3 +42,11 @@ def test_place_and_angles_of_a_camera(angles: tuple[float, float, float], mirror
     assert figures.keys() == expected.keys()
     for name, value in expected.items():
         assert figures[name] == pytest.approx(value, abs=1e-6), name
+
+
+def test_a_camera_states_focal_length_and_principal_point_after_its_orientation() -> None:
+    orientation = (SensorFigure("omega", 1.0, "deg"),)
+    figures = camera_figures(orientation, 1500.0, np.array([20.0, 30.0]))
+    assert [(figure.name, figure.value, figure.unit) for figure in figures] == [
+        ("omega", 1.0, "deg"), ("focal length", 1500.0, "px"),
+        ("principal point, line", 20.0, "px"), ("principal point, sample", 30.0, "px")]

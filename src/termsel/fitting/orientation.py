@@ -58,6 +58,25 @@ def exterior_orientation(rotation: FloatArray, centre: FloatArray,
             SensorFigure("phi", phi, "deg"), SensorFigure("kappa", kappa, "deg"))
 
 
+def camera_figures(orientation: tuple[SensorFigure, ...], focal: float,
+                   principal: FloatArray) -> tuple[SensorFigure, ...]:
+    """Return an exterior orientation, then focal length and principal point.
+
+    Parameters
+    ----------
+    orientation : tuple of SensorFigure
+        Of `exterior_orientation`.
+    focal : float
+        Focal length [px].
+    principal : ndarray, shape (2,)
+        Line and sample of the principal point [px].
+    """
+    line, sample = principal.tolist()
+    return (*orientation, SensorFigure("focal length", focal, "px"),
+            SensorFigure("principal point, line", line, "px"),
+            SensorFigure("principal point, sample", sample, "px"))
+
+
 def angles_of(matrix: FloatArray) -> FloatArray:
     """Return omega, phi and kappa [deg] of a rotation from ground axes to image axes, (3, 3)."""
     # m31 = sin(phi), m32 = -sin(omega) cos(phi), m33 = cos(omega) cos(phi),

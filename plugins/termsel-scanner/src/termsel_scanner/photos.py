@@ -16,7 +16,7 @@ from termsel import (
     SensorModel,
     Undetermined,
 )
-from termsel.toolkit import SensorFigure, exterior_orientation
+from termsel.toolkit import SensorFigure, camera_figures, exterior_orientation
 from termsel.toolkit.coordinates import is_geographic
 from termsel.toolkit.models import pinhole_of, view_of
 from termsel_scanner.candidate import sensor_of
@@ -265,7 +265,6 @@ class Frame(Photo):
         return np.stack([line * (1.0 + affinity) + shear * sample, sample], axis=-1) \
             - middle[:, None]
 
-
     def sensor_figures(self, coefficients: FloatArray) -> tuple[SensorFigure, ...]:
         """Return place, angles, focal length and principal point of the camera."""
         scaling = known(self.scaling)
@@ -277,12 +276,10 @@ class Frame(Photo):
         # In the camera's axes a place is R X scale / focal + ray, which is 0 at the camera.
         centre = -np.append(away / focal, 1.0) * focal / scale @ rotation
         principal = np.array([[x["line"][0], x["sample"][0]]]) - away
-        line, sample = scaling.pixels(principal)[0].tolist()
         unit = "deg" if is_geographic(self.crs) else "m"
-        return (*exterior_orientation(rotation, centre, self.local, scaling, unit),
-                SensorFigure("focal length", focal * scaling.image_scale, "px"),
-                SensorFigure("principal point, line", line, "px"),
-                SensorFigure("principal point, sample", sample, "px"))
+        orientation = exterior_orientation(rotation, centre, self.local, scaling, unit)
+        return camera_figures(orientation, focal * scaling.image_scale,
+                              scaling.pixels(principal)[0])
 
 
 class Panoramic(Photo):

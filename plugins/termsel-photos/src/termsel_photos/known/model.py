@@ -16,7 +16,7 @@ from termsel import (
     Undetermined,
     image_equations,
 )
-from termsel.toolkit import SensorFigure, exterior_orientation
+from termsel.toolkit import SensorFigure, camera_figures, exterior_orientation
 from termsel.toolkit.coordinates import LOCAL, is_geographic, to_ecef
 from termsel.toolkit.models import Cameras, Measured, Pinhole, camera_of, cameras_of, rotations
 from termsel_photos.known.interior import STATED_REACH, Interior, interior_of_file
@@ -298,13 +298,10 @@ class KnownFrame(SensorModel):
         assert self.scaling is not None
         camera = self.camera_of(np.asarray(coefficients)[None])
         focal = float(camera.focal[0]) * self.scaling.image_scale
-        line, sample = self.scaling.pixels(camera.middle)[0].tolist()
         unit = "deg" if is_geographic(self.crs) else "m"
-        return (*exterior_orientation(camera.rotation[0], camera.position[0], self.local,
-                                      self.scaling, unit),
-                SensorFigure("focal length", focal, "px"),
-                SensorFigure("principal point, line", line, "px"),
-                SensorFigure("principal point, sample", sample, "px"))
+        orientation = exterior_orientation(camera.rotation[0], camera.position[0], self.local,
+                                           self.scaling, unit)
+        return camera_figures(orientation, focal, self.scaling.pixels(camera.middle)[0])
 
     def project(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
         """Return image positions of ground points, shape (..., n, 2); NaN behind the camera."""
