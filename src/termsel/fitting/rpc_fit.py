@@ -99,11 +99,11 @@ def rpc_of(fitted: Fit, heights: tuple[float, float] | None = None) -> RpcFit:
     """
     best = closest_rpc(fitted, heights)
     if best.heights is not None:
+        low, high = best.heights
         log.log(logging.INFO if best.worst <= GOOD else logging.WARNING,
                 "RPC: refitted to the model in longitude, latitude and height with %s terms. It "
-                f"differs from the model by at most {best.worst:.2g} px (rms {best.rms:.2g} px), "
-                "over the image and heights from {:.0f} to {:.0f}.".format(*best.heights),
-                best.how)
+                "differs from the model by at most %.2g px (rms %.2g px), over the image and "
+                "heights from %.0f to %.0f.", best.how, best.worst, best.rms, low, high)
         if best.excluded_part:
             log.warning("Warning: %s. The RPC follows the model in the rest alone.",
                         best.excluded_part)

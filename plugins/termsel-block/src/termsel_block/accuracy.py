@@ -169,7 +169,7 @@ def in_space(result: BlockResult) -> InSpace | None:
 
 
 def _intersections(result: BlockResult, rays: Sequence[Sequence[tuple[int, FloatArray]]],
-                 near: FloatArray) -> FloatArray:
+                   near: FloatArray) -> FloatArray:
     """Return where the rays of each point meet, shape (n, 3) [m].
 
     `rays` holds for each of n points the number of each image and the point's position there;

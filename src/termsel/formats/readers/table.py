@@ -119,8 +119,9 @@ class Table:
         enabled = {}
         for cell in set(flags):
             # Programs that keep numbers alone write 1.0 for 1.
-            flag = _WHOLE.sub(r"\1", cell.strip().lower())
-            enabled[cell] = _ENABLED.get(flag)
+            flag = cell.strip().lower()
+            whole = _WHOLE.fullmatch(flag)
+            enabled[cell] = _ENABLED.get(whole[1] if whole else flag)
         for cell, on in enabled.items():
             if on is None:
                 raise self.error(f"{cell.strip()!r} is neither true nor false",

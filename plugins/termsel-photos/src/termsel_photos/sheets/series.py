@@ -208,7 +208,7 @@ def _start(paper: Paper, plan: FloatArray, measured: FloatArray) -> FloatArray:
 
 
 def _least_cost(paper: Paper, plan: FloatArray, measured: FloatArray, values: FloatArray,
-            sigma: float) -> tuple[FloatArray, FloatArray]:
+                sigma: float) -> tuple[FloatArray, FloatArray]:
     """Return the values of the least cost, and the normal matrix there: Gauss-Newton.
 
     The cost is that of the residuals, (measured - image)^2 / sigma^2, and of the first four values'
