@@ -14,7 +14,7 @@ from termsel.formats.rpc_files import write_rpc
 from termsel.simulate.catalogue import OTHERS, SCENES
 from termsel.simulate.example import vendor_rpc
 from termsel.simulate.kept import FOLDER, to_keep
-from termsel_papers.datasets import SIMULATED
+from termsel_optimisers.papers.datasets import SIMULATED
 from termsel_rpc.simulated import DATASET_NAME, MATCHES, candidates, matches
 
 ROOT = Path(__file__).parents[1]
@@ -29,7 +29,7 @@ def computed() -> Iterator[tuple[Path, FeatureSet]]:
     for i in range(1, 6):
         yield CORE / f"image-{i}.json", simulate_scene(
             "spot-isfahan", seed=i, n_points=30, n_lines=0)
-    papers = PLUGINS / "termsel-papers" / "src" / "termsel_papers" / FOLDER
+    papers = PLUGINS / "termsel-optimisers" / "src" / "termsel_optimisers" / "papers" / FOLDER
     for name, simulated in SIMULATED.items():
         yield papers / f"{name}.json", simulated()
     rpc = PLUGINS / "termsel-rpc" / "src" / "termsel_rpc" / FOLDER

@@ -54,7 +54,7 @@ def test_a_set_of_the_open_benchmark_has_the_figure_of_the_page(name):
 
 @pytest.mark.slow
 def test_the_standard_ga_of_akhoundi_has_the_figures_of_the_page():
-    pytest.importorskip("termsel_papers")
+    pytest.importorskip("termsel_optimisers")
     runs = [akhoundi.one_run(None, 200, seed) for seed in range(1, akhoundi.RUNS + 1)]
     good = [one for one in runs if one.check < akhoundi.FAILED]
     cells = row("paper-akhoundi", "200")

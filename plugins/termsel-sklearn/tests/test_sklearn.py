@@ -158,7 +158,7 @@ def test_exact_proves_the_selection_that_a_search_finds() -> None:
 
 @pytest.mark.parametrize("solver", ["stepwise", "lasso", "t-test", "nested-regression"])
 def test_regressions_select_columns(solver: str) -> None:
-    pytest.importorskip("termsel_rivals")
+    pytest.importorskip("termsel_optimisers")
     X, y = _columns()
     assert set(TermSelector(solver=solver).fit(X, y).get_support(indices=True)) >= {1, 4}
 

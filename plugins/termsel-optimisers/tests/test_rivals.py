@@ -1,4 +1,4 @@
-"""The solvers of termsel-rivals, as installed."""
+"""The solvers of termsel-optimisers, as installed."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("termsel_rivals", reason="termsel-rivals is not installed: "
-                    "pip install -e plugins/termsel-rivals")
+pytest.importorskip("termsel_optimisers", reason="termsel-optimisers is not installed: "
+                    "pip install -e plugins/termsel-optimisers")
 
 import termsel
 from termsel import TermselError, write_result
 from termsel.testing import Check, checks
 from termsel.toolkit import registry
-from termsel_rivals import AntColony, Lasso, NestedRegression, Stepwise, TransgenicGA, TTest
+from termsel_optimisers import AntColony, Lasso, NestedRegression, Stepwise, TransgenicGA, TTest
 
 NEEDS_COLUMNS = {"any_problem": "it needs the columns of an adjustment",
                  "optimum_found": "it does not search"}
@@ -35,18 +35,18 @@ def test_conforms(check: Check) -> None:
 @pytest.mark.parametrize("name", CHECKS)
 def test_is_registered_and_runs(name: str) -> None:
     entry = next(e for e in registry().entries("solvers") if e.name == name)
-    assert entry.provided_by == "termsel-rivals"
+    assert entry.provided_by == "termsel-optimisers"
     result = termsel.run("poly-terms", solver=name, seed=1, evaluations=60,
                          options={"degree": 2})
     assert result.feasible
-    assert result.to_dict()["plugins"]["solver"]["name"] == f"termsel-rivals:{name}"
+    assert result.to_dict()["plugins"]["solver"]["name"] == f"termsel-optimisers:{name}"
 
 
 @pytest.mark.parametrize("name", CHECKS)
 def test_without_the_package_its_name_is_said(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TERMSEL_PLUGINS", "")
-    with pytest.raises(TermselError, match=r"package termsel-rivals, which is installed, but left "
-                                           r"out by the variable TERMSEL_PLUGINS: unset it\.$"):
+    with pytest.raises(TermselError, match=r"package termsel-optimisers, which is installed, but "
+                                           r"left out by the variable TERMSEL_PLUGINS: unset it\.$"):
         type(registry())().get("solvers", name)
 
 

@@ -8,22 +8,29 @@ import numpy as np
 import pytest
 from scipy import stats
 
-pytest.importorskip("termsel_rivals", reason="termsel-rivals is not installed: "
-                    "pip install -e plugins/termsel-rivals")
+pytest.importorskip("termsel_optimisers", reason="termsel-optimisers is not installed: "
+                    "pip install -e plugins/termsel-optimisers")
 
 import termsel
 from termsel import Equations, FeatureSet, LeastSquares, Points, Regression, TermRegression
 from termsel.toolkit import solve
 from termsel.toolkit.searches import regressions
-from termsel_rivals.lasso import Lasso, PathSegment, lasso_path
-from termsel_rivals.nested import (
+from termsel_optimisers.rivals.lasso import Lasso, PathSegment, lasso_path
+from termsel_optimisers.rivals.nested import (
     NestedRegression,
     explained_share,
     rational_errors,
     rms,
 )
-from termsel_rivals.scatter import ScatterMatrix
-from termsel_rivals.stepwise import Stepwise, TTest, gains, independent, losses, significance
+from termsel_optimisers.rivals.scatter import ScatterMatrix
+from termsel_optimisers.rivals.stepwise import (
+    Stepwise,
+    TTest,
+    gains,
+    independent,
+    losses,
+    significance,
+)
 from tests.regressions import part_of, sparse, square
 
 SELECTORS = (Stepwise, TTest, Lasso, ScatterMatrix)

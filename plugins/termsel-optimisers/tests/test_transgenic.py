@@ -7,15 +7,16 @@ import pytest
 from deap import base
 from scipy.stats import mannwhitneyu, norm
 
-pytest.importorskip("termsel_rivals", reason="termsel-rivals is not installed: "
-                    "pip install -e plugins/termsel-rivals")
+pytest.importorskip("termsel_optimisers", reason="termsel-optimisers is not installed: "
+                    "pip install -e plugins/termsel-optimisers")
 
 import termsel
 from termsel import Evaluation, GeneticAlgorithm, search
 from termsel.testing.problems import narrow
 from termsel.toolkit import WORST, BoolArray, FloatArray
-from termsel_rivals import TransgenicGA, transgenic
-from termsel_rivals.transgenic import qualification
+from termsel_optimisers import TransgenicGA
+from termsel_optimisers.rivals import transgenic
+from termsel_optimisers.rivals.transgenic import qualification
 
 
 def rng(seed: int = 1) -> np.random.Generator:

@@ -7,8 +7,8 @@ from itertools import islice
 import numpy as np
 import pytest
 
-pytest.importorskip("termsel_rivals", reason="termsel-rivals is not installed: "
-                    "pip install -e plugins/termsel-rivals")
+pytest.importorskip("termsel_optimisers", reason="termsel-optimisers is not installed: "
+                    "pip install -e plugins/termsel-optimisers")
 
 import termsel
 from termsel import Bits, Generation, Genome
@@ -16,7 +16,7 @@ from termsel.testing import problems
 from termsel.testing.problems import Toy
 from termsel.toolkit import BoolArray, FloatArray
 from termsel.toolkit.searches import gap
-from termsel_rivals.colony import AntColony, deposit, grafts, renew, settled
+from termsel_optimisers.rivals.colony import AntColony, deposit, grafts, renew, settled
 
 
 def bits(*texts: str) -> BoolArray:

@@ -8,7 +8,7 @@ import pytest
 import termsel
 from termsel import TermselError, search
 from termsel.testing import Check, checks
-from termsel_papers.correlation import (
+from termsel_optimisers.papers.correlation import (
     CorrelationSeededGA,
     activation_probabilities,
     correlation_sums,

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from termsel import Evaluation, Generation, Genome, Option, Problem, Solver
-from termsel_rivals.arrays import BoolArray, FloatArray
+from termsel_optimisers.arrays import BoolArray, FloatArray
 
 
 def deposit(ants: BoolArray) -> FloatArray:

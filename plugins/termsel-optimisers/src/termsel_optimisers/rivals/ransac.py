@@ -17,7 +17,7 @@ from termsel import (
     Undetermined,
     held_out_by_refits,
 )
-from termsel_rivals.arrays import BoolArray
+from termsel_optimisers.arrays import BoolArray
 
 QUADRATIC_FROM = 20
 """Points from which on the polynomial is quadratic: as few as it has terms leave nothing to vote.

@@ -9,7 +9,7 @@ from deap import base
 
 from termsel import Bits, GeneticAlgorithm, Option, Problem, TermselError
 from termsel.toolkit.searches import unit_deviations
-from termsel_papers.arrays import BoolArray, FloatArray
+from termsel_optimisers.arrays import BoolArray, FloatArray
 
 PRESETS = {"case-1": (1.19, 0.15), "case-2": (1.69, 0.0), "case-3": (1.0, 0.0)}
 """Scale and offset of the cases of Akhoundi Khezrabad et al. 2020, table 3."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from termsel import Criterion, FeatureSet, Fits, Option, Points, TermselError
-from termsel_rivals.arrays import FloatArray
+from termsel_optimisers.arrays import FloatArray
 
 SIDE = 9
 """Places along either side of the area of the control."""

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-pytest.importorskip("termsel_rivals", reason="termsel-rivals is not installed: "
-                    "pip install -e plugins/termsel-rivals")
+pytest.importorskip("termsel_optimisers", reason="termsel-optimisers is not installed: "
+                    "pip install -e plugins/termsel-optimisers")
 
 import termsel
-from termsel_rivals.scatter import ScatterMatrix, explained, scatter_of, swept
-from termsel_rivals.stepwise import gains, losses
+from termsel_optimisers.rivals.scatter import ScatterMatrix, explained, scatter_of, swept
+from termsel_optimisers.rivals.stepwise import gains, losses
 from tests.regressions import part_of, sparse, square
 
 

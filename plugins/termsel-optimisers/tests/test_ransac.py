@@ -10,7 +10,7 @@ import pytest
 import termsel
 from termsel import FeatureSet, TermselError
 from termsel.testing import checks
-from termsel_rivals import Ransac
+from termsel_optimisers import Ransac
 
 
 @pytest.mark.parametrize("check", checks(Ransac(trials=200)), ids=lambda check: check.name)

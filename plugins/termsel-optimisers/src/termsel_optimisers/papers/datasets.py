@@ -32,6 +32,6 @@ DATASETS = [
     DatasetSpec(f"{scene}-{control}-{check}",
                 f"simulated scene {scene}: {control} control and {check} selection points as in "
                 f"{source}; {_INDEPENDENT} independent ones",
-                partial(kept_features, "termsel_papers", f"{scene}-{control}-{check}"),
+                partial(kept_features, "termsel_optimisers.papers", f"{scene}-{control}-{check}"),
                 simulated=True)
     for scene, control, check, source in _COUNTS]

@@ -9,7 +9,7 @@ import numpy as np
 from deap import base
 
 from termsel import Bits, Evaluation, GeneticAlgorithm, Option
-from termsel_rivals.arrays import BoolArray, FloatArray
+from termsel_optimisers.arrays import BoolArray, FloatArray
 
 _LEAST = 1e-9  # variance of a rank sum below which it is rounding
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from termsel import Option, Regression, TermRegression
-from termsel_rivals.arrays import BoolArray, FloatArray
+from termsel_optimisers.arrays import BoolArray, FloatArray
 
 DEPENDENT = 1e-8
 """A column of length 1 whose part that the others lack is shorter depends on them."""

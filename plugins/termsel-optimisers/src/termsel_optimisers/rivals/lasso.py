@@ -8,8 +8,8 @@ import numpy as np
 from scipy import linalg
 
 from termsel import Option, Regression, TermRegression
-from termsel_rivals.arrays import BoolArray, FloatArray, IntArray
-from termsel_rivals.nested import DEPENDENT
+from termsel_optimisers.arrays import BoolArray, FloatArray, IntArray
+from termsel_optimisers.rivals.nested import DEPENDENT
 
 EXPLAINED = 1e-12
 """Share of the largest penalty below which only rounding is left."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from termsel import Option, Regression, TermRegression, TermselError
-from termsel_rivals.arrays import BoolArray, FloatArray
-from termsel_rivals.stepwise import with_column
+from termsel_optimisers.arrays import BoolArray, FloatArray
+from termsel_optimisers.rivals.stepwise import with_column
 
 
 class ScatterMatrix(TermRegression):

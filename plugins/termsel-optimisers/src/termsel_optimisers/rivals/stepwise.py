@@ -8,8 +8,8 @@ import numpy as np
 from scipy import special
 
 from termsel import Option, Regression, TermRegression, TermselError
-from termsel_rivals.arrays import BoolArray, FloatArray
-from termsel_rivals.nested import DEPENDENT
+from termsel_optimisers.arrays import BoolArray, FloatArray
+from termsel_optimisers.rivals.nested import DEPENDENT
 
 
 def gains(regression: Regression, selection: BoolArray) -> tuple[FloatArray, float]:

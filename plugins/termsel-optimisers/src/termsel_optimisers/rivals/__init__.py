@@ -1,0 +1,1 @@
+"""Solvers, a criterion and a method of the literature that termsel is compared with."""
