@@ -26,10 +26,10 @@ from termsel.runs.request import DATA_OPTIONS
 from termsel.selection.solvers.budget import SEARCH_OPTIONS
 
 OF_EVERY_RUN = {"data": DATA_OPTIONS, "search": SEARCH_OPTIONS}
-OWN = ("termsel", "termsel-app", "termsel-bench", "termsel-block", "termsel-cluster",
-       "termsel-formats", "termsel-hybrids", "termsel-iiif", "termsel-match",
+OWN = ("termsel", "termsel-app", "termsel-bench", "termsel-block", "termsel-formats",
+       "termsel-hybrids", "termsel-iiif", "termsel-match",
        "termsel-optimisers", "termsel-photos", "termsel-rpc",
-       "termsel-scanner", "termsel-sklearn", "termsel-stability", "termsel-standards",
+       "termsel-scanner", "termsel-sklearn", "termsel-standards",
        "termsel-studies")
 """Packages of the repository: others that happen to be installed are not documented here."""
 

@@ -13,7 +13,8 @@ pytest.importorskip("termsel_optimisers", reason="termsel-optimisers is not inst
 import termsel
 from termsel import Evaluation, GeneticAlgorithm, search
 from termsel.testing.problems import narrow
-from termsel.toolkit import WORST, BoolArray, FloatArray
+from termsel.toolkit import BoolArray, FloatArray
+from termsel.toolkit.searches import WORST
 from termsel_optimisers import TransgenicGA
 from termsel_optimisers.rivals import transgenic
 from termsel_optimisers.rivals.transgenic import qualification

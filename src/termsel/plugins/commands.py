@@ -63,9 +63,9 @@ PACKAGES = {
     "termsel_photos": {
         "map-series": "Find what all sheets of a series share: projection and paper.",
         "flight-camera": "Find the camera that the photos of one flight share."},
-    "termsel_stability": {"stability": "Show how often each term is selected as points change."},
     "termsel_standards": {
         "accuracy": "State the accuracy by ASPRS, NSSDA and ISO 19157.",
         "sigma": "Write the uncertainty of a result as a raster."},
+    "termsel_studies": {"stability": "Show how often each term is selected as points change."},
 }
 """Commands of the packages next to termsel, so that help shows them without importing them."""

@@ -46,5 +46,4 @@ from termsel.formats.readers.vector import open_layer as open_layer
 from termsel.formats.rpc_files import rpc_txt_text as rpc_txt_text
 from termsel.formats.vrt import picture_for as picture_for
 from termsel.plugins.registry import registry as registry
-from termsel.selection.problems.base import WORST as WORST
 from termsel.selection.solvers.ledger import Progress as Progress

@@ -1,4 +1,5 @@
 from termsel.selection.best_subsets.features.walk import RowSystem as RowSystem
+from termsel.selection.problems.base import WORST as WORST
 from termsel.selection.problems.objectives import unit_deviations as unit_deviations
 from termsel.selection.problems.recipes import CAP as CAP
 from termsel.selection.problems.recipes import OBJECTIVES as OBJECTIVES

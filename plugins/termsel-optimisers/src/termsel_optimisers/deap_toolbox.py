@@ -15,8 +15,8 @@ from deap import base, tools
 from numpy.typing import NDArray
 
 from termsel import Genome, Problem, TermselError
-from termsel.toolkit import WORST, unknown_name
-from termsel.toolkit.searches import crossover, mutation
+from termsel.toolkit import unknown_name
+from termsel.toolkit.searches import WORST, crossover, mutation
 
 
 class Fitness(base.Fitness):

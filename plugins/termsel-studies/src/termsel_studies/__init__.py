@@ -1,4 +1,9 @@
-"""Statistics, claims, tables, charts and the page of studies, as a plugin."""
+"""Studies, as a plugin: statistics, charts and their page; clusters; how stable terms are.
+
+References
+----------
+Meinshausen and Bühlmann 2010, Stability selection, J. R. Stat. Soc. B 72(4).
+"""
 
 from __future__ import annotations
 
@@ -10,24 +15,37 @@ import lazy_loader
 from termsel import hookimpl
 
 if TYPE_CHECKING:
+    import click
+
     from termsel.toolkit import Part
+    from termsel_studies.frequencies import Stability, stability
     from termsel_studies.report import report, summary
 
 # What only a finished study needs is not imported for `termsel run`.
 __getattr__, _, _ = lazy_loader.attach(__name__, submod_attrs={
+    "cluster": ["on_cluster"], "frequencies": ["Stability", "stability"],
     "outlines": ["map_of"], "report": ["report", "summary"]})
 
-__all__ = ["map_of", "report", "summary"]
+__all__ = ["Stability", "map_of", "on_cluster", "report", "stability", "summary"]
+
+
+@hookimpl
+def termsel_commands(cli: click.Group) -> None:
+    """Add the command `stability`."""
+    from termsel_studies.stability_command import stability as command
+
+    cli.add_command(command)
 
 
 @hookimpl
 def termsel_parts() -> Iterable[Part]:
-    """Return what is made of a study."""
+    """Return what is made of a study, and what runs its cells on the workers of a scheduler."""
     from termsel.toolkit import Part
     from termsel.toolkit.studies import StudyOutput
     from termsel_studies import ioh
+    from termsel_studies.cluster import on_cluster
     from termsel_studies.outlines import map_of
     from termsel_studies.report import FILES, report, summary, write
 
-    return [Part("study", StudyOutput((ioh.IOH_FOLDER,), ioh.write)),
+    return [Part("scheduler", on_cluster), Part("study", StudyOutput((ioh.IOH_FOLDER,), ioh.write)),
             Part("study-map", map_of), Part("study", StudyOutput(FILES, write, summary, report))]

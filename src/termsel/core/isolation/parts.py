@@ -23,7 +23,7 @@ class Part:
     slot : str
         "study": a `StudyOutput`, what is made of a study. "study-map": what makes a map of its
         images, called as `termsel_studies.map_of`. "scheduler": what runs cells, called as
-        `termsel_cluster.on_cluster`. "certificate": what makes the writer of a certificate, called
+        `termsel_studies.on_cluster`. "certificate": what makes the writer of a certificate, called
         as `termsel_bench.certificate.certifier`. "reading": options of reading, as
         `termsel_photos.known.reading.CameraOptions` has them.
     value : object

@@ -136,7 +136,7 @@ def stability(
 
     Examples
     --------
-    >>> from termsel_stability import stability
+    >>> from termsel_studies import stability
     >>> found = stability("poly-terms", repeats=3, evaluations=200, options={"degree": 2})
     >>> found.selections.shape
     (3, 12)

@@ -26,8 +26,8 @@ from termsel import (
 )
 from termsel.testing import invoke
 from termsel.toolkit.runs import Request, prepared
-from termsel_stability import frequencies as module
-from termsel_stability import stability
+from termsel_studies import frequencies as module
+from termsel_studies import stability
 
 QUICK = {"model": "poly3d", "solver": "exact", "criterion": "press", "repeats": 4,
          "options": {"degree": 2}}

@@ -16,7 +16,7 @@ from termsel.toolkit.runs import INTERRUPTED
 
 if TYPE_CHECKING:
     from termsel import FeatureSet
-    from termsel_stability.frequencies import Stability
+    from termsel_studies.frequencies import Stability
 
 _SOLVER, _CRITERION = "all-terms", "press"
 """What fits given terms to control and selection points together."""
@@ -49,7 +49,7 @@ def stability(repeats: int, threshold: float, **arguments: Any) -> None:
     from termsel.toolkit import write_text
     from termsel.toolkit.files import STABILITY, claimed
     from termsel.toolkit.runs import problem_for
-    from termsel_stability import frequencies as module
+    from termsel_studies import frequencies as module
 
     # All that can be refused is refused before the searches, which take long.
     exported = run_settings.exported()

@@ -165,7 +165,7 @@ def test_the_page_on_clusters_starts_workers_through_a_queue(
 
 @pytest.mark.slow
 def test_a_scheduler_that_does_not_answer_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    from termsel_cluster import cluster
+    from termsel_studies import cluster
 
     monkeypatch.setattr(cluster, "PATIENCE", 1.0)
     asked = {**ASKED, "budget": {"evaluations": 50}}
@@ -182,7 +182,7 @@ def test_what_has_no_port_is_no_address(address: str) -> None:
 
 
 def test_a_worker_that_differs_is_named_with_its_address() -> None:
-    from termsel_cluster.cluster import require_alike, versions_here
+    from termsel_studies.cluster import require_alike, versions_here
 
     here = versions_here(("termsel", "numpy"))
     assert here["termsel"] == termsel.__version__
