@@ -45,8 +45,8 @@ def test_is_registered_and_runs(name: str) -> None:
 @pytest.mark.parametrize("name", CHECKS)
 def test_without_the_package_its_name_is_said(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TERMSEL_PLUGINS", "")
-    with pytest.raises(TermselError, match=r"package termsel-optimisers, which is installed, but "
-                                           r"left out by the variable TERMSEL_PLUGINS: unset it\.$"):
+    message = r"package termsel-optimisers, which is installed, but left out by .* TERMSEL_PLUGINS"
+    with pytest.raises(TermselError, match=message):
         type(registry())().get("solvers", name)
 
 
