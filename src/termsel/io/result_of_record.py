@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 from typing import Any
 
@@ -11,6 +10,7 @@ from msgspec import ValidationError, convert
 
 from termsel.auto.function import OfFunction, OfPlaneFunction
 from termsel.core.errors import TermselError, printable
+from termsel.core.files.mismatches import KINDS_OF_JSON, mismatch_in_words
 from termsel.core.version import __version__
 from termsel.data.features import FeatureSet
 from termsel.data.record.base import plain
@@ -40,36 +40,9 @@ def record_from(content: Any) -> Record:
     except RecursionError:
         raise TermselError("this result is damaged: it is nested too deeply", hint=AGAIN) from None
     except (ValidationError, UnicodeEncodeError) as error:  # keys may be no text at all
-        # The message of the decoder ends with the key, as "$.rmse.control".
-        raise TermselError(f"this result is damaged{_or_of_another(content)}: "
-                           f"{_in_words(str(error))}", hint=AGAIN) from error
-
-
-_KINDS_OF_JSON = {"int": "a whole number", "float": "a number", "str": "text",
-                  "bool": "true or false", "array": "a list", "object": "a table",
-                  "null": "null"}
-
-
-def _in_words(message: str) -> str:
-    """Return what the decoder says of a key, such as "seed is text, expected a whole number"."""
-    # "Expected `int`, got `str` - at `$.seed`", "Object missing required field `x` - at `$.y`".
-    problem, _, key = message.partition(" - at ")
-    location = key.strip("`").removeprefix("$").removeprefix(".") or "the file"
-    kinds = re.fullmatch(r"Expected `([^`]+)`, got `([^`]+)`", problem)
-    if kinds:
-        expected, given = (" or ".join(_KINDS_OF_JSON.get(kind, kind)
-                                       for kind in text.split(" | ")) for text in kinds.groups())
-        return f"{location} is {given}, expected {expected}"
-    missing_key = re.fullmatch(r"Object missing required field `([^`]+)`", problem)
-    if missing_key:
-        return f"{location} lacks {missing_key[1]!r}"
-    unknown = re.fullmatch(r"Object contains unknown field `([^`]+)`", problem)
-    if unknown:
-        return f"{location} has {unknown[1]!r}, which is not known"
-    limit = re.fullmatch(r"Expected `([^`]+)`(.*)", problem)
-    if limit:
-        return f"{location} is not {_KINDS_OF_JSON.get(limit[1], limit[1])}{limit[2]}"
-    return f"{location}: {problem[0].lower()}{problem[1:]}"
+        mismatch = mismatch_in_words(str(error), KINDS_OF_JSON, lambda key: key or "the file")
+        raise TermselError(f"this result is damaged{_or_of_another(content)}: {mismatch}",
+                           hint=AGAIN) from error
 
 
 def _or_of_another(content: dict[str, Any]) -> str:

@@ -6,6 +6,8 @@ from termsel.core.files.atomic import sync as sync
 from termsel.core.files.drivers import allowed_drivers as allowed_drivers
 from termsel.core.files.drivers import program_environment as program_environment
 from termsel.core.files.drivers import remote_allowed as remote_allowed
+from termsel.core.files.mismatches import KINDS_OF_JSON as KINDS_OF_JSON
+from termsel.core.files.mismatches import mismatch_in_words as mismatch_in_words
 from termsel.core.files.names import STABILITY as STABILITY
 from termsel.core.files.names import refuse_links as refuse_links
 from termsel.core.files.names import utf8_name as utf8_name

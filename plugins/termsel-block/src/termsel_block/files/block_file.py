@@ -19,7 +19,7 @@ import numpy as np
 from termsel import FeatureSet, TermselError, get, open_raster, read, read_rpc
 from termsel.toolkit import options_of_file, require_regular, unguarded
 from termsel.toolkit.coordinates import LOCAL, normalise
-from termsel.toolkit.files import parts_of, read_toml
+from termsel.toolkit.files import KINDS_OF_JSON, mismatch_in_words, parts_of, read_toml
 from termsel_block.block import CORRECTIONS, Block, BlockImage, Ties
 from termsel_block.estimation.equations import pairs
 from termsel_block.files.asp import asp_rows, is_asp
@@ -31,8 +31,9 @@ COLUMNS = {"id": ("id", "tie", "name", "point"), "image": ("image", "img", "scen
 """Known names of the columns of a table of ties."""
 
 _EXAMPLE = "termsel block-example DIR writes a block to begin with."
-_KINDS = {"str": "text in quotes", "int": "a whole number", "float": "a number",
-          "bool": "true or false", "array": "a list", "object": "a table"}
+# TOML has no null.
+_KINDS = {kind: words for kind, words in KINDS_OF_JSON.items() if kind != "null"} | {
+    "str": "text in quotes"}
 # In a note.
 _NAMED_TIES = 5
 # In a message.
@@ -93,7 +94,8 @@ def read_block(path: Path | str) -> Block:
         stated = msgspec.convert(table, type=_File)
     except msgspec.ValidationError as error:
         _refuse_unknown_key(str(error), text, path)
-        raise TermselError(f"this is not the file of a block: {_said(str(error))}", file=path,
+        mismatch = mismatch_in_words(str(error), _KINDS, _key_in_words)
+        raise TermselError(f"this is not the file of a block: {mismatch}", file=path,
                            hint=_EXAMPLE) from error
     names = [image.name for image in stated.image]
     _check_names(names, path)
@@ -144,19 +146,14 @@ def _refuse_copies(names: Sequence[str], ties: Ties, path: Path) -> None:
                                hint="Remove the one that is a copy, or correct its ties.")
 
 
-def _said(error: str) -> str:
-    """Return what a decoder says, in the words of the file."""
-    # msgspec says "... - at `$.image[3].rpc`": the number counts from one for people.
-    problem, _, location = error.partition(" - at `$")
-    of = _of_image(location)
-    key = re.search(r"\.(\w+)`", location)
-    if missing := re.match(r"Object missing required field `(.+?)`", problem):
-        return f"the key {missing[1]!r}{of} is missing"
-    if key and (wrong := re.match(r"Expected `(.+?)`, got `(.+?)`", problem)):
-        expected_kinds = " or ".join(_KINDS.get(kind, kind) for kind in wrong[1].split(" | ")
-                             if kind != "null")
-        return f"{key[1]}{of} is {_KINDS.get(wrong[2], wrong[2])}, and must be {expected_kinds}"
-    return error
+def _key_in_words(key: str) -> str:
+    """Return what a key of the file is called, such as "rpc of image number 4" of image[3].rpc."""
+    in_image = re.match(r"image\[(\d+)\]\.?(.*)", key)
+    if in_image is None:
+        return key or "the file"
+    # People count from one.
+    image = f"image number {int(in_image[1]) + 1}"
+    return f"{in_image[2]} of {image}" if in_image[2] else image
 
 
 def _of_image(location: str) -> str:
