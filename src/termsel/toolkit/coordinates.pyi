@@ -1,5 +1,6 @@
 from termsel.data.coordinates.crs import EARTH as EARTH
 from termsel.data.coordinates.crs import LOCAL as LOCAL
+from termsel.data.coordinates.crs import begins_as_crs as begins_as_crs
 from termsel.data.coordinates.crs import body_of as body_of
 from termsel.data.coordinates.crs import horizontal as horizontal
 from termsel.data.coordinates.crs import is_geographic as is_geographic

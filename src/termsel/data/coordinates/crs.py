@@ -43,6 +43,9 @@ _GRIDS = 3  # that an error names
 _OF_EARTH = 0.01  # share by which ellipsoids of the Earth differ at most
 _QUOTED_NAME = re.compile(r'\w+\s*\[\s*"([^"]{1,80})"')
 _UNKNOWN_DATUM = re.compile(r"(D_)?(unknown|not[ _]specified)", re.IGNORECASE)
+_UNNAMED = re.compile(r"unknown|unnamed|", re.IGNORECASE)
+_CRS_LINE = re.compile(r"\s*(EPSG|ESRI\s*:|WGS ?84|ETRS ?89|UTM|PROJC|GEOG|\+\w+=)", re.IGNORECASE)
+"""What a line begins with that is a CRS."""
 _BODY = re.compile(r"(?:GCS_|D_)?([A-Za-z]+)")
 
 _CODE = re.compile(r"(?:urn:ogc:def:crs:)?(EPSG|OGC):(?:[\d.]*:)?\s*(\w+)", re.IGNORECASE)
@@ -355,9 +358,12 @@ def _has_no_datum(crs: CRS) -> bool:
 @lru_cache
 def _say_no_datum(name: str) -> None:
     """Say once that a datum is taken for another."""
-    log.warning("Note: the CRS %s has an ellipsoid and no datum. Its longitudes and latitudes are "
+    shown = short(name)
+    # PROJ calls what has no name of its own unknown, such as strings of PROJ.
+    called = "" if _UNNAMED.fullmatch(shown) else f" {shown}"
+    log.warning("Note: the CRS%s has an ellipsoid and no datum. Its longitudes and latitudes are "
                 "taken as those of WGS84 where these are needed; they may be some hundred metres "
-                "off.", short(name))
+                "off.", called)
 
 
 EARTH = "the Earth"
@@ -479,6 +485,14 @@ def short(crs: str) -> str:
     """Return a CRS as messages name it: WKT is long, so they say the name in it."""
     name = _QUOTED_NAME.match(crs)
     return name[1] if name else crs if len(crs) <= 40 else f"{crs[:40]}..."
+
+
+def begins_as_crs(line: str) -> bool:
+    """Return whether a line of a file begins as a CRS does, which `normalise` may still refuse.
+
+    A number alone is none: it may count the points below.
+    """
+    return _CRS_LINE.match(line) is not None
 
 
 def kind_of(crs: str) -> str:

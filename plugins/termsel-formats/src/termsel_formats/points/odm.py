@@ -21,7 +21,7 @@ from warnings import catch_warnings, simplefilter
 
 from termsel import FeatureSet, Option, Reader, Result, TermselError
 from termsel.toolkit import read_text, requires, write_text
-from termsel.toolkit.coordinates import horizontal, normalise
+from termsel.toolkit.coordinates import begins_as_crs, horizontal, normalise
 from termsel.toolkit.files import IMAGE_NAME, Table, image_of, is_number, located
 from termsel.toolkit.runs import GIS
 from termsel_formats.points.written import (
@@ -37,7 +37,7 @@ log = logging.getLogger("termsel.formats")
 
 _ODM_COLUMNS = ("geo_x", "geo_y", "geo_z", "im_x", "im_y", "image_name", "gcp_name")
 _MEANINGS = {"x": "geo_x", "y": "geo_y", "z": "geo_z", "sample": "im_x", "line": "im_y"}
-_CRS_LIKE = re.compile(r"\s*#?\s*(EPSG|WGS ?84|UTM|\+\w+=|\d{4,5}$)", re.IGNORECASE)
+_CODE = re.compile(r"\d{4,5}")
 _CHECK = "CHK-"
 """Beginning of the names of check points. Versions of OpenDroneMap that know it keep them out of
 the adjustment; others take them as control (github.com/WebODM/WebODM/issues/1824)."""
@@ -120,11 +120,12 @@ def _lines(text: str) -> list[tuple[int, str]]:
 def _crs_row(rows: list[tuple[int, str]]) -> int | None:
     """Return which of the lines is the CRS, with or without a #; comments may stand above it."""
     for i, (_, text) in enumerate(rows):
+        statement = text.removeprefix("#").strip()
         try:
-            normalise(text.removeprefix("#").strip())
+            normalise(statement)
         except TermselError:
             # What looks like a CRS but is none is refused by name when the list is read.
-            if _CRS_LIKE.match(text):
+            if begins_as_crs(statement) or _CODE.fullmatch(statement):
                 return i
             if not text.startswith("#"):
                 return None
