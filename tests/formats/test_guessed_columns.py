@@ -87,6 +87,32 @@ def test_the_crs_in_a_first_line_is_no_header(tmp_path: Path) -> None:
     assert len(read.points) == N
 
 
+@pytest.mark.parametrize(("first_line", "crs"), [
+    ("WGS84 UTM 33N", "EPSG:32633"), ("UTM zone 33N, WGS84", ""), ("32633", "")])
+def test_only_a_crs_that_is_known_is_taken_from_a_first_line(tmp_path: Path, first_line: str,
+                                                             crs: str) -> None:
+    # A number may count the points, as in tables of other programs.
+    path = tmp_path / "a.txt"
+    path.write_text(f"{first_line}\n" + "".join(
+        f"g{i} {x} {y} {sample} {line}\n" for i, (x, y, sample, line)
+        in enumerate(zip(METRES["x"], METRES["y"], SAMPLE, LINE, strict=True))))
+    read = termsel.read(path, columns="id=1,x=2,y=3,sample=4,line=5",
+                        crs="EPSG:32633" if not crs else None)
+    assert read.crs == "EPSG:32633"
+    assert len(read.points) == N
+
+
+def test_a_title_of_several_lines_is_called_so(tmp_path: Path,
+                                               caplog: pytest.LogCaptureFixture) -> None:
+    rows = zip(SAMPLE, LINE, METRES["x"], METRES["y"], strict=True)
+    path = tmp_path / "a.csv"
+    path.write_text("points of\nJune\n" + "".join(
+        ",".join(map(str, row)) + "\n" for row in rows))
+    with caplog.at_level("INFO"):
+        termsel.read(path, crs="local", columns="sample=1,line=2,x=3,y=4")
+    assert "2 lines above the points left out as a title: points of June" in caplog.text
+
+
 def test_a_title_is_no_row_and_a_repeated_text_no_id(tmp_path: Path) -> None:
     path = tmp_path / "a.txt"
     path.write_text("points of June\n" + "".join(
@@ -185,6 +211,31 @@ def test_lists_of_mapwarper_in_json_are_read(tree: object, tmp_path: Path) -> No
     assert points.ids == ("9", "10")
     assert points.image.tolist() == [[825, 1145], [857, 1028]]
     assert points.ground[:, :2].tolist() == [[-2.90, 53.38], [-2.91, 53.39]]
+
+
+@pytest.mark.parametrize("indent", [None, 1])
+def test_the_images_of_a_list_in_json_are_parts(tmp_path: Path, indent: int | None) -> None:
+    records = [{"image": "AB"[i % 2], "line": float(LINE[i]), "sample": float(SAMPLE[i]),
+                "x": METRES["x"][i], "y": METRES["y"][i]} for i in range(N)]
+    path = tmp_path / "images.json"
+    path.write_text(json.dumps(records, indent=indent))
+    with pytest.raises(TermselError, match="points of the images A, B") as error:
+        termsel.read(path, crs="EPSG:32633")
+    # What the error proposes works: each image is a part of the file.
+    assert "fit each with termsel compare" in (error.value.hint or "")
+    assert PointsJson().parts(path) == {"A": {"image_name": "A"}, "B": {"image_name": "B"}}
+    assert len(PointsJson(image_name="B").read(path).points) == N // 2
+
+
+@pytest.mark.parametrize("name", ["line", "x"])
+def test_a_column_known_by_its_name_may_hold_no_number(tmp_path: Path, name: str) -> None:
+    cells = {"line": LINE, "sample": SAMPLE, "x": METRES["x"], "c2": METRES["y"]}
+    rows = [{key: str(column[i]) for key, column in cells.items()} for i in range(N)]
+    rows[3][name] = "n/a"
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([",".join(cells), *(",".join(row.values()) for row in rows)]))
+    with pytest.raises(TermselError):
+        termsel.read(path, crs="EPSG:32633")
 
 
 def test_the_command_line_shows_all_guesses(tmp_path: Path, call: Callable[..., Any]) -> None:

@@ -46,10 +46,13 @@ def with_advice(error: TermselError, header: Sequence[str], rows: Sequence[Seque
     numbers = _numbers([row for row in rows[:_ROWS] if len(row) == len(header)])
     in_image = [reading for reading in readings if _is_in_an_image(numbers, reading)]
     complete = [reading for reading in in_image if reading.keys() >= _REQUIRED]
-    if complete and all(_counts_upwards(numbers[reading["line"]]) for reading in complete):
+    # A column that is known by its name may hold a cell that is no number.
+    numeric = [reading for reading in complete
+               if all(reading[name] in numbers for name in _REQUIRED)]
+    if numeric and all(_counts_upwards(numbers[reading["line"]]) for reading in numeric):
         error.options["--set"] = "image_origin=y-up"
         error.hint = f"{error.hint or ''} Its lines count upwards: --set image_origin=y-up."
-    if any(_are_two_images(numbers, reading) for reading in complete):
+    if any(_are_two_images(numbers, reading) for reading in numeric):
         error.hint = (f"{error.hint or ''} If both pairs are pixels, the second those of a "
                       "georeferenced image, head them x1,y1,x2,y2.")
     return _with_readings(error, header, rows, complete or in_image or [dict(known_columns)],

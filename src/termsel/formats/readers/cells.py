@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from termsel.core.errors import TermselError, requires
+from termsel.core.errors import TermselError, counted, requires
 from termsel.core.files.apart import apart
 from termsel.core.files.names import is_there
-from termsel.data.coordinates.crs import normalise
+from termsel.data.coordinates.crs import begins_as_crs, normalise
 from termsel.data.tables.columns import CENTRAL_EUROPEAN, FOREIGN, USE, Aliases, declared, matches
 from termsel.formats.base import read_data
 
@@ -26,9 +26,8 @@ _DELIMITERS = (",", ";", "\t", "|", "")
 
 _FEWEST_NAMES = 3  # of a header
 _HEADER_WITHIN = 4_000  # characters in which a header is looked for among comments
+_XML_OR_JSON = re.compile(r"\s*(<|\{|\[\s*\{)")
 _SEARCHED = 20  # rows in which a header may be found, below a title
-_CRS_LINE = re.compile(r"\s*(\+proj=|\+init=|EPSG\s*:|WGS ?84|ETRS ?89|ESRI:|PROJC|GEOG)",
-                       re.IGNORECASE)
 WIDEST = 1_000  # columns
 _SHEETS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1")  # zip of .xlsx and .ods; .xls
 
@@ -116,7 +115,8 @@ def sniffed(path: Path, head: bytes, aliases: Aliases,
         text, _ = decoded(head, path, final=False)
     except TermselError:
         return []
-    if text.lstrip()[:1] in ("<", "{"):  # XML or JSON, which other readers take or refuse
+    # XML or JSON, which other readers take or refuse.
+    if _XML_OR_JSON.match(text):
         return []
     text = _with_header(text, aliases, stated)
     delimiter = _delimiter(text, aliases, stated)
@@ -276,7 +276,7 @@ def _without_crs_line(cells: Cells) -> Cells:
     """
     text = cells.delimiter.join(cells.rows[0]) if cells.delimiter and cells.rows else \
         " ".join(chain.from_iterable(cells.rows[:1]))
-    if not _CRS_LINE.match(text):
+    if not begins_as_crs(text):
         return cells
     try:
         crs = normalise(text)
@@ -390,6 +390,7 @@ def without_header(cells: Cells, stated: Mapping[str, str]) -> Cells:
         return cells
     header = [str(i + 1) for i in range(len(first))]
     title = " ".join(chain.from_iterable(cells.rows[:titles]))
-    note = (f"the first line is left out as a title: {title}",) if titles else ()
+    above = f"{counted(titles, cells.row_name)} above the points left out as a title: {title}"
+    note = (above,) if titles else ()
     return replace(cells, rows=[header, *cells.rows[titles:]], lines=[0, *cells.lines[titles:]],
                    notes=(*cells.notes, *note))

@@ -67,9 +67,14 @@ class PointsCsv(TableReader):
         # Cells alone: the notes on a table are for its reading.
         rows = read_cells(path, self.aliases, stated, self.options.get("layer")).rows
         first = header_row(rows, self.aliases, stated)
-        columns = zip(*[row for row in rows[first:] if len(row) == len(rows[first])], strict=True)
-        images = _images_of({name: cells for name, *cells in columns})
-        return {image: {"image_name": image} for image in dict.fromkeys(images)}
+        header = rows[first]
+        return parts_of(header, [row for row in rows[first + 1:] if len(row) == len(header)])
+
+
+def parts_of(header: Sequence[str], rows: Sequence[Sequence[str]]) -> dict[str, dict[str, Any]]:
+    """Return the options of each image of a table; empty where it has one image."""
+    images = _images_of(dict(zip(header, zip(*rows, strict=True), strict=False)))
+    return {image: {"image_name": image} for image in dict.fromkeys(images)}
 
 
 def _images_of(columns: Mapping[str, Sequence[str]]) -> list[str]:

@@ -16,8 +16,8 @@ from termsel.core.errors import TermselError
 from termsel.core.options import Option
 from termsel.data.tables.columns import parse_columns
 from termsel.formats.base import IMAGE_NAME, located, parse_json, read_text
-from termsel.formats.readers.cells import found_in, of_records
-from termsel.formats.readers.csv_tables import PointsCsv
+from termsel.formats.readers.cells import Cells, found_in, of_records
+from termsel.formats.readers.csv_tables import PointsCsv, parts_of
 from termsel.formats.readers.table import Table
 from termsel.formats.readers.tables import COLUMNS, table_of
 
@@ -49,6 +49,17 @@ class PointsJson(PointsCsv):
 
     def table(self, path: Path) -> Table:
         """Return the values of the objects by their meaning."""
+        stated = parse_columns(self.options.get("columns", ""))
+        return table_of(path, self._cells(path), self.aliases, stated,
+                        self.options.get("decimal"), flat=True)
+
+    def parts(self, path: Path) -> dict[str, dict[str, Any]]:
+        """Return the images of the list, where it has several, each of which is a part."""
+        header, *rows = self._cells(path).rows
+        return parts_of(header, rows)
+
+    def _cells(self, path: Path) -> Cells:
+        """Return the objects of the longest list as rows below their names."""
         try:
             tree = parse_json(read_text(path), _HINT)
         except TermselError as error:
@@ -56,13 +67,7 @@ class PointsJson(PointsCsv):
         records = max(_lists(tree), key=len, default=[])
         if not records:
             raise TermselError("this JSON has no list of objects", file=path, hint=_HINT)
-        cells = of_records([_flat(record) for record in records], "object", {})
-        stated = parse_columns(self.options.get("columns", ""))
-        return table_of(path, cells, self.aliases, stated, self.options.get("decimal"), flat=True)
-
-    def parts(self, path: Path) -> dict[str, dict[str, Any]]:
-        """Return no parts: a list of objects is of one image."""
-        return {}
+        return of_records([_flat(record) for record in records], "object", {})
 
 
 def _lists(tree: object) -> Iterator[list[Mapping[str, Any]]]:
