@@ -9,7 +9,7 @@ import pytest
 
 import termsel
 from termsel.core.errors import TermselError
-from termsel.core.isolation.parts import own_packages
+from termsel.core.isolation.parts import is_left_out, own_packages
 from termsel.core.options import by_part
 from termsel.io.read import READ_OPTIONS, read_options
 from termsel.plugins import builtin, hookspecs
@@ -354,6 +354,14 @@ def test_plugins_are_restricted_by_the_environment(install, monkeypatch, wanted,
     names = Registry()
     ours = {"termsel", "ant", "zebra-one"}
     assert [p.distribution for p in names.plugins if p.distribution in ours] == expected
+
+
+def test_a_package_is_left_out_only_where_it_is_not_loaded(install, monkeypatch):
+    for name in ("ant", "zebra-one", "wasp"):
+        install(name, MODEL.format(name=name[0]))
+    monkeypatch.setenv("TERMSEL_PLUGINS", " ant,Zebra_One")
+    assert [is_left_out(name) for name in ("ant", "zebra-one", "wasp", "")] == [
+        False, False, True, False]
 
 
 def test_a_plugin_asked_for_and_not_installed_is_a_failure(monkeypatch):

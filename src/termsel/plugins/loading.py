@@ -20,6 +20,7 @@ import pluggy
 from termsel.core.errors import raised, unknown_name
 from termsel.core.isolation.faults import OWN, distribution_of, remember
 from termsel.core.isolation.inside import TooSlow, code_of, surroundings_kept, within
+from termsel.core.isolation.parts import PLUGINS_VARIABLE, canonical, chosen_packages
 from termsel.core.version import PLUGIN_API, __version__
 from termsel.plugins import builtin, hookspecs
 from termsel.plugins.hookspecs import PROJECT
@@ -111,11 +112,6 @@ def _tell(package: str) -> None:
                 "TERMSEL_PLUGINS= (empty) runs without plugins.", distribution_of(package))
 
 
-def canonical(distribution: str) -> str:
-    """Return the one spelling of a distribution's name for "A.B", "a-b" and "a_b"."""
-    return re.sub(r"[-_.]+", "-", distribution.strip()).lower()
-
-
 @dataclass
 class Slot:
     """A plugin and its code, which is imported when something needs it."""
@@ -182,8 +178,7 @@ class Loader:
 
     def _installed(self) -> list[EntryPoint]:
         """Return the entry points of the installed plugins that may be used."""
-        allowed = os.environ.get("TERMSEL_PLUGINS")
-        chosen_names = {canonical(name) for name in (allowed or "").split(",") if name.strip()}
+        chosen_names = chosen_packages()
         # termsel's own entry point serves other programs; `builtin` is loaded without it, so
         # that termsel works from a source folder that is not installed.
         names_seen = {PROJECT}
@@ -195,16 +190,16 @@ class Loader:
                 continue
             name = _name_of(distribution)
             # Of a distribution that is found twice, Python imports the first.
-            if name not in names_seen and (allowed is None or name in chosen_names):
+            if name not in names_seen and (chosen_names is None or name in chosen_names):
                 points += of_plugins
                 if fault:
                     self._missing.append(Plugin("", name, ""))
                     self.failures.append(self._missing[-1].remark(fault))
             names_seen.add(name)
-        for name in sorted(chosen_names - names_seen):
+        for name in sorted((chosen_names or set()) - names_seen):
             self._missing.append(Plugin("", name, ""))
             self.failures.append(self._missing[-1].remark(
-                "named in TERMSEL_PLUGINS, but not installed"))
+                f"named in {PLUGINS_VARIABLE}, but not installed"))
         return points
 
     def _load(self, slot: Slot) -> None:

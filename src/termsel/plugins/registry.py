@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING, Any
 from termsel.core.errors import TermselError, printable, unknown_name
 from termsel.core.isolation import parts
 from termsel.core.isolation.faults import package_of
+from termsel.core.isolation.parts import canonical
 from termsel.core.options import Configurable
 from termsel.plugins.calling import Taken, call, listed
 from termsel.plugins.commands import COMMANDS
 from termsel.plugins.hookspecs import PROJECT
 from termsel.plugins.kinds import KINDS, summary
-from termsel.plugins.loading import LISTENER, Loader, Plugin, Remark, Slot, attempt, canonical
+from termsel.plugins.loading import LISTENER, Loader, Plugin, Remark, Slot, attempt
 from termsel.results.extras import sources
 
 if TYPE_CHECKING:

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from importlib.metadata import EntryPoint, distributions
 
+from termsel.core.isolation.parts import canonical
 from termsel.plugins.hookspecs import PROJECT
 from termsel.plugins.kinds import KINDS
-from termsel.plugins.loading import canonical
 from termsel.plugins.registry import Registry
 from termsel.testing.cases import Case, Suite, check_declaration, require
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cache
@@ -72,8 +73,22 @@ LEFT_OUT = f"is installed, but left out by the variable {PLUGINS_VARIABLE}"
 
 def is_left_out(package: str) -> bool:
     """Return whether a package is installed, and not used since a variable leaves it out."""
+    chosen = chosen_packages()
+    return bool(package) and chosen is not None and canonical(package) not in chosen \
+        and _is_installed(package)
+
+
+def chosen_packages() -> set[str] | None:
+    """Return the packages that the variable lists, each as `canonical` spells it; None if unset."""
     listed = os.environ.get(PLUGINS_VARIABLE)
-    return listed is not None and package not in listed.split(",") and _is_installed(package)
+    if listed is None:
+        return None
+    return {canonical(name) for name in listed.split(",") if name.strip()}
+
+
+def canonical(distribution: str) -> str:
+    """Return the one spelling of a distribution's name for "A.B", "a-b" and "a_b"."""
+    return re.sub(r"[-_.]+", "-", distribution.strip()).lower()
 
 
 def install_hint(package: str) -> str:

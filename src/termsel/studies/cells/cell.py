@@ -10,10 +10,9 @@ from itertools import product
 from typing import Any
 
 from termsel.core.errors import TermselError, unknown_name
-from termsel.core.isolation.parts import own_packages
+from termsel.core.isolation.parts import canonical, own_packages
 from termsel.core.options import Configurable, Option
 from termsel.plugins.hookspecs import PROJECT
-from termsel.plugins.loading import canonical
 from termsel.plugins.registry import SESSION, registry
 from termsel.results.extras import Measure
 from termsel.runs.choosing import uses_auto
