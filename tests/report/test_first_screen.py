@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from msgspec import convert
 
+from termsel.data.record.figures import determined_exactly
 from termsel.data.record.record import Record
 from termsel.report.first_screen import SCREEN_LINES
 from tests.records import (
@@ -174,6 +175,18 @@ def test_one_command_comes_next(changed: dict[str, Any], folder: str, step: str)
      "1 control point, 1 control line, 1 selection point, no independent check points")])
 def test_roles_are_named_in_the_words_of_the_field(changed: dict[str, Any], line: str) -> None:
     assert line in first_screen(data=changed)
+
+
+@pytest.mark.parametrize(("number", "said"), [
+    (1, "1 point determines the model exactly"), (4, "4 points determine the model exactly")])
+def test_that_a_model_is_determined_exactly_is_said_once(number: int, said: str) -> None:
+    adjustment = {**record()["adjustment"], "redundancy": 0}
+    lines = first_screen(
+        strategy=choice("affine", predicted=None), adjustment=adjustment,
+        data=counts(independent=0, check=0, control=number),
+        notes=[f"{determined_exactly(number, 'point')}, so its accuracy is not known."])
+    assert " ".join(lines).count("the model exactly") == 1
+    assert any(line.endswith(f"not known: {said}; measure at least one more") for line in lines)
 
 
 def test_points_that_choose_and_fit_are_counted_together_in_a_choice() -> None:

@@ -7,7 +7,12 @@ from statistics import NormalDist
 
 from termsel.core.display.numbers import interval, rounded
 from termsel.core.errors import counted
-from termsel.data.record.figures import MANY_INDEPENDENT, Accuracy, Predicted
+from termsel.data.record.figures import (
+    MANY_INDEPENDENT,
+    Accuracy,
+    Predicted,
+    determined_exactly,
+)
 from termsel.data.record.record import Record
 from termsel.report.verdict import contradicting
 
@@ -111,16 +116,21 @@ def _between_points(record: Record) -> list[str]:
 def _unverified(record: Record, predicted: Predicted | None) -> list[str]:
     """Return what is known without independent check points."""
     counts = record.data.counts
-    if predicted is None and record.strategy and record.adjustment.redundancy == 0 \
-            and counts.word == "points":
-        points = counted(counts.control + counts.check, "point")
-        return [f"not known: {points} determine{'s' * points.startswith('1 ')} the model exactly; "
-                "measure at least one more"]
+    if is_exact(record):
+        exactly = determined_exactly(counts.control + counts.check, "point")
+        return [f"not known: {exactly}; measure at least one more"]
     if predicted is None:
         return ["not known: no independent check points"]
     if predicted.high < _ROUNDING_PX:
         return ["the points fit exactly; not verified: no independent check points"]
     return [_prediction(predicted), "not verified: no independent check points"]
+
+
+def is_exact(record: Record) -> bool:
+    """Return whether the accuracy is not known since points determine the model exactly."""
+    return (record.accuracy is None and expected_of(record) is None
+            and lattice_of(record) is None and bool(record.strategy)
+            and record.adjustment.redundancy == 0 and record.data.counts.word == "points")
 
 
 def _prediction(predicted: Predicted) -> str:

@@ -11,6 +11,7 @@ from termsel.core.display.numbers import rounded
 from termsel.core.errors import amount, counted, cut, percent
 from termsel.data.coordinates.crs import LOCAL, short
 from termsel.data.record.figures import (
+    EXACTLY,
     FEW_EVALUATIONS,
     MANY_INDEPENDENT,
     TOO_FEW,
@@ -18,7 +19,7 @@ from termsel.data.record.figures import (
     Outlier,
 )
 from termsel.data.record.record import Record, WhatWasRead
-from termsel.report.accuracy import accuracy_lines, lattice_of, reused_points
+from termsel.report.accuracy import accuracy_lines, is_exact, lattice_of, reused_points
 from termsel.report.blocks import Fact
 from termsel.report.compared import are_alike, label_of, verdict_on_choice
 from termsel.report.verdict import off_option, size_of_errors, too_few_to_test
@@ -438,11 +439,10 @@ def _warnings(record: Record) -> list[str]:
     heights = _on_heights(record)
     read = record.data.read
     doubt = read.doubt.casefold() if read else ""
-    exactly = " determine the model exactly"
-    is_exact_said = any(exactly in line for line in accuracy_lines(record))
+    is_exact_said = is_exact(record)
     return [*_urgent(record), *(note for note in record.notes if note and not _is_shown(note)
                                 and note != heights
-                                and not (is_exact_said and exactly in note)
+                                and not (is_exact_said and EXACTLY in note)
                                 and not (doubt and note.casefold().startswith(doubt))
                                 and not (reused and " no longer independent: " in note))]
 

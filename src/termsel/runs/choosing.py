@@ -20,7 +20,7 @@ from termsel.core.errors import TermselError, counted
 from termsel.core.interrupts import answered
 from termsel.data.features import FloatArray, Points, no_points, select
 from termsel.data.fit_data import FitData
-from termsel.data.record.figures import Predicted
+from termsel.data.record.figures import Predicted, determined_exactly
 from termsel.data.record.search import CandidateRow, SearchLimits, Strategy
 from termsel.data.roles import ASSIGNABLE, Observations, leave_out, with_lines
 from termsel.data.twins import merged
@@ -400,8 +400,8 @@ def _notes(model: SensorModel, observations: Observations, errors: FloatArray | 
     elif determined:
         mirrored = " They do not tell either whether the image is mirrored." \
             if len(features) == 2 else ""
-        notes.append(f"{len(features)} {features.word} determine the model exactly, so nothing "
-                     f"tells its accuracy.{mirrored}")
+        exactly = determined_exactly(len(features), features.word.removesuffix("s"))
+        notes.append(f"{exactly}, so its accuracy is not known.{mirrored}")
     elif errors is None:
         notes.append("One point cannot be predicted by others, so no accuracy is predicted."
                      if len(features) == 1 else

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 
 from msgspec import UNSET, Meta, UnsetType, field
 
+from termsel.core.errors import counted
 from termsel.data.record.base import (
     Count,
     Name,
@@ -31,12 +32,20 @@ FEW_EVALUATIONS = 1000
 TOO_FEW = "which is too few"
 """What the judgement of a search says whose evaluations were too few to find a selection."""
 
+EXACTLY = "the model exactly"
+"""What `determined_exactly` ends with."""
+
 MANY_INDEPENDENT = 20
 """Number of independent points below which the predicted RMSE is shown before theirs: it varies
 less, and its interval holds more often (docs/evidence/intervals.md)."""
 
 SIGNIFICANT = 0.05
 """Chance below which a coefficient is called significant."""
+
+
+def determined_exactly(number: int, noun: str) -> str:
+    """Return that as many features determine all coefficients, so that no errors are left over."""
+    return f"{counted(number, noun)} determine{'s' if number == 1 else ''} {EXACTLY}"
 
 
 def rmse_interval(total: float, freedom: float) -> tuple[float, float]:
