@@ -5,12 +5,16 @@ from __future__ import annotations
 import logging
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from termsel.formats.readers.csv_tables import write_points_csv
 from termsel.simulate import simulate_scene
+from termsel.studies import outputs
+from termsel.studies.plan.spec import Spec
+from termsel.studies.study import Study
 
 
 @pytest.mark.slow
@@ -34,3 +38,17 @@ def test_messages_outside_a_study_stay_as_they_are(caplog: pytest.LogCaptureFixt
     with caplog.at_level("INFO", logger="termsel"):
         logging.getLogger("termsel.io.export").warning("Warning: %d px", 3)
     assert caplog.messages == ["Warning: 3 px"]
+
+
+@pytest.mark.parametrize(("page", "says_which_package"), [
+    (None, True), (lambda study: "<html>", False)])
+def test_the_text_of_images_is_their_own(
+        monkeypatch: pytest.MonkeyPatch, page: Callable[[Study], str] | None,
+        says_which_package: bool) -> None:
+    def of_searches(study: Study) -> str:
+        raise AssertionError("images are no searches")
+
+    output = outputs.StudyOutput((), lambda study, out: (), of_searches, page)
+    monkeypatch.setattr(outputs, "parts", lambda slot: [output])
+    text = outputs.summary(Study(Spec(strategies=("auto",)), {}, {}, None))
+    assert ("A page of all images: package termsel-studies" in text) == says_which_package

@@ -31,7 +31,8 @@ class StudyOutput:
     write : callable
         Takes a `Study` and its folder; returns the files that it wrote.
     summary : callable, optional
-        Takes a `Study`; returns text for ``termsel compare`` to print.
+        Takes a `Study` of searches; returns text for ``termsel compare`` to print. Images have
+        their own text.
     page : callable, optional
         Takes a `Study`; returns the HTML page that ``termsel report`` writes.
     """
@@ -67,15 +68,18 @@ def write_outputs(study: Study, out: Path) -> list[Path]:
 
 
 def summary(study: Study) -> str:
-    """Return what packages say of a study as text; without one, its images and which package would.
+    """Return the images of a study as text, or what packages say of searches.
+
+    Without a package, the text says which would show more.
     """
-    texts = [output.summary(study) for output in parts("study") if output.summary]
+    outputs = parts("study")
     package = package_of_name("study")
     # Images have their table without any package; statistics of searches come with one.
     if study.noun == "image":
-        further = "" if texts else \
+        further = "" if any(output.page for output in outputs) else \
             f"A page of all images: package {package}. {install_hint(package)}\n"
         return f"{_images(study)}{further}"
+    texts = [output.summary(study) for output in outputs if output.summary]
     return "".join(texts) or (
         f"{counted(len(study.records), study.noun)} finished. Statistics and tables come with the "
         f"package {package}. {install_hint(package)}\n")
