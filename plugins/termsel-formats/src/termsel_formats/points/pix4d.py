@@ -153,7 +153,7 @@ class Pix4dMarksWriter(PointsWriter):
     """
 
     name = "pix4d-marks"
-    summary = "points without blunders as marks for Pix4D, and their coordinates in NAME_gcps.csv"
+    summary = "control without blunders as marks for Pix4D, and their coordinates in NAME_gcps.csv"
     suffix = "_marks.csv"
     declared_options: ClassVar[tuple[Option, ...]] = (IMAGE,)
 
