@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 MAX_FILE_BYTES = 512 << 20
 """Bytes of a file that is read at once; a sparse file can claim any size."""
 
+LARGEST_IMAGE = 200_000.0
+"""Pixels along a side: no image is larger."""
+
 _HEAD = 65536  # bytes shown to sniff(): room for a long comment before a header
 _Image = TypeVar("_Image", str, float)
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")

@@ -20,6 +20,7 @@ from termsel.core.files.texts import xml_attribute as xml_attribute
 from termsel.data.tables.attributes import TextArray as TextArray
 from termsel.data.tables.attributes import distinct as distinct
 from termsel.formats.base import IMAGE_NAME as IMAGE_NAME
+from termsel.formats.base import LARGEST_IMAGE as LARGEST_IMAGE
 from termsel.formats.base import image_of as image_of
 from termsel.formats.base import located as located
 from termsel.formats.base import parse_json as parse_json

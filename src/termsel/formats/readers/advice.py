@@ -12,6 +12,7 @@ from termsel.data.coordinates.crs import short
 from termsel.data.features import FloatArray
 from termsel.data.tables.columns import POINTS, Aliases, declared, matches, parse_columns
 from termsel.data.tables.numbers import COMMA, POINT, BadCell, decimal_signs, read_numbers
+from termsel.formats.base import LARGEST_IMAGE
 from termsel.formats.readers.cells import WIDEST, BadText, counts_columns, read_cells
 
 EXPECTED = ("Give a table headed id,role,line,sample,x,y,z, or another format of "
@@ -22,7 +23,6 @@ _ROWS = 200
 _BELONGS = 0.9
 """Share of a column's variance that ground explains of an image, or an image of its ground."""
 
-_LARGEST_IMAGE = 200_000.0  # px along a side
 _REQUIRED = {"line", "sample", "x", "y"}
 _DECLARE = " Declare the columns: --columns"
 _SPREADSHEETS = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
@@ -82,7 +82,7 @@ def _is_in_an_image(numbers: Mapping[int, FloatArray], reading: Mapping[str, int
     # Lines alone may count upwards, and then are negative.
     if "sample" in columns and np.nanmax(columns["sample"]) < 0.0:
         return False
-    return all(np.nanmax(np.abs(column)) <= _LARGEST_IMAGE for column in columns.values())
+    return all(np.nanmax(np.abs(column)) <= LARGEST_IMAGE for column in columns.values())
 
 
 def _counts_upwards(lines: FloatArray) -> bool:

@@ -21,14 +21,12 @@ from termsel.core.options import Option
 from termsel.data.features import FeatureSet, FloatArray, Lines, Points
 from termsel.data.tables.attributes import Attributes
 from termsel.data.tables.columns import LINES, POINTS, folded, parse_columns
-from termsel.formats.base import IMAGE_NAME, image_of
+from termsel.formats.base import IMAGE_NAME, LARGEST_IMAGE, image_of
 from termsel.formats.readers.cells import header_row, read_cells
 from termsel.formats.readers.table import Table, points_of
 from termsel.formats.readers.tables import COLUMNS, TableReader
 
 log = logging.getLogger(__name__)
-
-_LARGEST_IMAGE = 200_000.0  # px along a side
 
 _IMAGES = frozenset({
     "image", "imagename", "imagefile", "imageid", "img", "imgname", "photo", "photoname",
@@ -96,7 +94,7 @@ def _check_pixels(table: Table, features: FeatureSet) -> None:
     if [table.names.get(meaning, "").strip().casefold() for meaning in ("sample", "line")] \
             != ["x", "y"] or not len(features.points):
         return
-    if np.abs(features.points.image).max() > _LARGEST_IMAGE:
+    if np.abs(features.points.image).max() > LARGEST_IMAGE:
         raise table.error("x and y are no pixels, and there are no other columns of the image", 0,
                           "sample", "Declare the columns of the image, --columns "
                                     "line=NAME,sample=NAME.")

@@ -21,14 +21,13 @@ import numpy as np
 
 from termsel import FeatureSet, Reader, TermselError
 from termsel.toolkit import read_text
-from termsel.toolkit.files import Table, is_number
+from termsel.toolkit.files import LARGEST_IMAGE, Table, is_number
 from termsel_formats.points.common import CORNER
 
 log = logging.getLogger("termsel.formats")
 
 _MEANINGS = {"sample": "X Source", "line": "Y Source", "x": "X Map", "y": "Y Map"}
 _WIDTHS = (4, 5, 7, 8)  # without and with a number, without and with three residuals
-_MAX_IMAGE_SIDE = 200_000.0  # px along a side
 _SMALLEST = 360.0  # above this, numbers are no degrees
 _HINT = "A row is X Source, Y Source, X Map, Y Map; y counts upwards from the upper edge."
 
@@ -63,7 +62,7 @@ class ArcgisLinks(Reader):
         row = table[:, first + 1]
         size = max(np.abs(column).max(), np.abs(row).max())
         return bool((row <= 0.0).all() and (column >= 0.0).all() and (row < 0.0).any()
-                    and _SMALLEST < size < _MAX_IMAGE_SIDE)
+                    and _SMALLEST < size < LARGEST_IMAGE)
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points; errors name file, line and column."""

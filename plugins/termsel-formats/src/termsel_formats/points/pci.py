@@ -19,7 +19,7 @@ import numpy as np
 
 from termsel import FeatureSet, Option, Reader, Result, TermselError
 from termsel.toolkit import read_text, write_text
-from termsel.toolkit.files import Table, chosen_points, guarded
+from termsel.toolkit.files import LARGEST_IMAGE, Table, chosen_points, guarded
 from termsel_formats.points.common import CORNER
 from termsel_formats.points.written import PointsWriter, say_points
 
@@ -31,7 +31,6 @@ _MEANING = {"ID": "id", "I": "id", "P": "sample", "L": "line", "X": "x", "Y": "y
 _ROLES = {"G": "control", "C": "check", "I": "off"}
 _USUAL_COLUMNS = {5: "ID P L X Y", 6: "ID P L X Y Z"}
 _COMMENT = ("#", ";", "!")
-_LARGEST_IMAGE = 200_000.0  # px along a side
 
 
 class PciGcp(Reader):
@@ -81,7 +80,7 @@ class PciGcp(Reader):
         table = Table(path, "", {name: name for name in columns}, columns, lines)
         # PCI counts from the corner of the first pixel.
         image = table.stack("line", "sample") - CORNER
-        if not self.options["layout"] and np.abs(image).max() > _LARGEST_IMAGE:
+        if not self.options["layout"] and np.abs(image).max() > LARGEST_IMAGE:
             raise TermselError(f"the fields are taken as {' '.join(fields)}, and pixel and line "
                                f"{image[0, 1]:.10g}, {image[0, 0]:.10g} are in no image",
                                file=path, line=lines[0],
