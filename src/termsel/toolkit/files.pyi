@@ -50,3 +50,4 @@ from termsel.io.plan import plan as plan
 from termsel.io.read import parts_of as parts_of
 from termsel.io.result_folder import RECORD as RECORD
 from termsel.io.result_folder import claimed as claimed
+from termsel.io.result_folder import results_within as results_within

@@ -99,10 +99,10 @@ def _stated_of_all(results: list[Result],
 def _results_of(folder: Path) -> list[Result]:
     """Return the result of a folder, or those of its folders, as a block and a batch have them."""
     from termsel import read_result
+    from termsel.toolkit.files import results_within
 
-    inner = [] if (folder / "result.json").exists() else sorted(
-        [*folder.glob("*/result.json"), *folder.glob("images/*/result.json")])
-    return [read_result(path.parent) for path in inner] or [read_result(folder)]
+    inner = [] if (folder / "result.json").exists() else results_within(folder)
+    return [read_result(result) for result in inner] or [read_result(folder)]
 
 
 def _predicted_only(result: Result) -> PredictedStatement | None:
