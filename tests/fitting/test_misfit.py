@@ -10,6 +10,7 @@ import pytest
 
 import termsel
 from termsel.data.features import FeatureSet, FloatArray, Points
+from termsel.fitting.local_courses import local_courses
 from termsel.fitting.misfit import NoisePrior, matern, misfit_of, mixed_misfit, trend_of
 from termsel.fitting.next_places import rank_places
 from termsel.fitting.scene import scene_grid
@@ -184,6 +185,20 @@ def test_errors_of_local_models_are_stated_for_rough_and_for_smooth_sheets(
         fitted = termsel.fit(features, model)
         squares.append((((fitted.project(ground) - truth) / fitted.sigma(ground))**2).mean())
     assert 0.8 < np.sqrt(np.mean(squares)) < 1.25
+
+
+def test_more_points_than_the_field_is_found_by_do_not_change_the_uncertainty_at_once() -> None:
+    rng = np.random.default_rng(11)
+    image = rng.uniform(-1.0, 1.0, (201, 2))
+    rough = image + 0.01 * np.floor(3.0 * image[:, ::-1]) + rng.normal(0.0, 1e-3, (201, 2))
+    ground = np.column_stack([image, np.full(201, np.nan)])
+    places = ground[:50] * 0.9
+    squares = []
+    for n in (200, 201):
+        courses = local_courses(Points(tuple(map(str, range(n))), rough[:n], ground[:n]), 1e-3)
+        assert courses is not None
+        squares.append(courses.squares(places, places[:, :2]))
+    np.testing.assert_allclose(squares[0].mean(), squares[1].mean(), rtol=0.1)
 
 
 def test_few_points_of_unknown_noise_say_that_they_do_not_tell_it_from_deformation() -> None:

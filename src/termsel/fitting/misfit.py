@@ -47,7 +47,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from termsel.data.features import FloatArray
+from termsel.data.features import FloatArray, IntArray
 
 MISFIT_LENGTHS = ((0.07, 0.07), (0.2, 0.2), (0.4, 0.4), (0.8, 0.8),
                   (0.15, 2.0), (2.0, 0.15), (0.05, 2.0), (2.0, 0.05), (0.015, 2.0), (2.0, 0.015))
@@ -76,7 +76,7 @@ CAMERA_NOISE_LOG_DEVIATION = 0.5
 """The same above the median where heights count: noise is below 1.3 px. What a camera shows nobody
 has drawn, so that a scatter of several pixels is not that of measurements."""
 
-NOISE_BY_SCATTER = np.geomspace(0.03, 3.0, 24)
+NOISE_BY_RESIDUALS = np.geomspace(0.03, 3.0, 24)
 """Noises that are tried, by the scatter of the residuals."""
 
 MISFIT_MAX_POINTS = 200
@@ -174,7 +174,7 @@ class System:
     """What all covariances are tried on."""
 
     positions: FloatArray  # (n, 2): of the control, in the image
-    precise: FloatArray  # (n, n): diagonal, variances of measurements by that of a usual one
+    relative_variances: FloatArray  # (n, n): diagonal, of measurements by that of a usual one
     trend: FloatArray  # (n, f)
     residuals: FloatArray  # (n, 2)
     noises: FloatArray  # (s,)
@@ -183,8 +183,9 @@ class System:
                         ratios: tuple[float, ...]) -> FloatArray:
         """Return logarithms of p(r, ratio | length, s) for each axis, (2, r, s)."""
         correlation = matern(self.positions, self.positions, lengths, smoothness)
-        by_ratio = [restricted_likelihood(self.precise + ratio**2 * correlation, self.trend,
-                                          self.residuals, self.noises) for ratio in ratios]
+        by_ratio = [restricted_likelihood(self.relative_variances + ratio**2 * correlation,
+                                          self.trend, self.residuals, self.noises)
+                    for ratio in ratios]
         return np.asarray(np.stack(by_ratio, axis=1) - np.log(len(ratios)))
 
     def course(self, lengths: tuple[float, float], smoothness: float, ratios: tuple[float, ...],
@@ -197,7 +198,7 @@ class System:
         means = np.empty((len(ratios), n + f, 2))
         for i, ratio in enumerate(ratios):
             scale = np.concatenate([np.full(n, ratio**2), np.ones(f)])
-            system = np.block([[self.precise + ratio**2 * correlation, self.trend],
+            system = np.block([[self.relative_variances + ratio**2 * correlation, self.trend],
                                [self.trend.T, np.zeros((f, f))]])
             inverse = scale[:, None] * np.linalg.inv(system)
             means[i] = inverse[:, :n] @ self.residuals
@@ -212,7 +213,7 @@ class System:
         """
         f = self.trend.shape[1]
         noise = (shares @ self.noises**2).sum(axis=1)                               # (2,)
-        weighted = self.trend / np.diag(self.precise)[:, None]
+        weighted = self.trend / np.diag(self.relative_variances)[:, None]
         explained = course.explained.copy()
         explained[:, -f:, -f:] += noise[:, None, None] * np.linalg.inv(self.trend.T @ weighted)
         return replace(course, explained=explained)
@@ -263,7 +264,7 @@ def misfit_of(image: FloatArray, residuals: FloatArray, noise: NoisePrior,
     of both axes together, None where the residuals are not less for them.
     """
     if len(image) > MISFIT_MAX_POINTS:
-        rows = np.linspace(0, len(image) - 1, MISFIT_MAX_POINTS).round().astype(int)
+        rows = rows_of_field(len(image))
         effective = None if effective is None else effective * MISFIT_MAX_POINTS / len(image)
         image = image[rows]
         residuals = residuals[rows]
@@ -276,12 +277,12 @@ def misfit_of(image: FloatArray, residuals: FloatArray, noise: NoisePrior,
         return None
     # The model has taken up more than the trend: as much larger its residuals would be else.
     residuals = residuals * np.sqrt(2 * freedom / (2 * n - effective))
-    precise = noise.relative_variances(n)
-    noises = NOISE_BY_SCATTER * np.sqrt((residuals**2).mean())
+    noises = NOISE_BY_RESIDUALS * np.sqrt((residuals**2).mean())
     log_prior = noise.log_probability(noises)
-    system = System(image, np.diag(precise), trend, residuals, noises)
+    variances = np.diag(noise.relative_variances(n))
+    system = System(image, variances, trend, residuals, noises)
     logs = [np.log(1.0 - MISFIT_PROBABILITY) + log_prior
-            + restricted_likelihood(system.precise, trend, residuals, noises).sum(axis=0)]
+            + restricted_likelihood(variances, trend, residuals, noises).sum(axis=0)]
     by_ratios = []
     for lengths in MISFIT_LENGTHS:
         by_ratio = system.log_likelihoods(lengths, MISFIT_SMOOTHNESS, MISFIT_RATIOS)
@@ -298,6 +299,11 @@ def misfit_of(image: FloatArray, residuals: FloatArray, noise: NoisePrior,
             course = system.course(lengths, MISFIT_SMOOTHNESS, MISFIT_RATIOS, share * by_ratio)
             courses.append(system.without_noise_of_trend(course, share * by_ratio))
     return Misfit(image, tuple(courses))
+
+
+def rows_of_field(n: int) -> IntArray:
+    """Return the rows, of n points, by which a field is found: all of few, else spread ones."""
+    return np.linspace(0, n - 1, min(n, MISFIT_MAX_POINTS)).round().astype(np.intp)
 
 
 def mixed_misfit(misfits: Sequence[tuple[float, Misfit]]) -> Misfit | None:

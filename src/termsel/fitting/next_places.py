@@ -36,7 +36,8 @@ class Ranking:
     """Places in the order in which they should be measured.
 
     `order` has numbers of candidates, `sigma` the root mean square uncertainty of a position over
-    the scene after each of them [px], `sigma_before` the same before.
+    the scene after each of them [px], `sigma_before` the same before. Of a spline or a field they
+    are those of the shrunken cubic polynomial of its control, not the mean of `Fit.sigma`.
     """
 
     order: IntArray
@@ -52,7 +53,7 @@ def rank_places(fitted: Fit, candidates: FloatArray, scene: FloatArray, count: i
     or a field is taken for the shrunken cubic polynomial of its control. Two places are
     `min_distance` apart in the image, as a share of its longer side; where no candidate is as far
     from all places before it, any may follow. With `misfit` the uncertainty holds what the model
-    does not fit, too, as that of `Fit.sigma` does.
+    does not fit, too, as that of `Fit.sigma` does of all models but splines and fields.
 
     Raises
     ------

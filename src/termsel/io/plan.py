@@ -33,7 +33,8 @@ class Plan:
 
     The columns of `values`, shape (n, 6), are line and sample [px], x, y and z, and the root mean
     square uncertainty of a position over the scene once the place is measured, and those before it
-    [px]; it is `sigma_before` before [px].
+    [px]; it is `sigma_before` before [px]. They are those of `Fit.sigma`, but of a local model,
+    which is taken for the polynomial of its control: the mean of its own `sigma` differs.
     """
 
     ids: tuple[str, ...]
