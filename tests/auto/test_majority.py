@@ -12,7 +12,7 @@ import termsel
 from termsel import FeatureSet, Points
 from termsel.auto.auto import Auto
 from termsel.auto.blunders import agreement, find_blunders
-from termsel.auto.majority import _closest_halves, majority
+from termsel.auto.majority import _closest_halves, _interleaved, majority
 from termsel.data.features import no_lines
 from termsel.data.fit_data import FitData
 from termsel.data.roles import by_roles
@@ -165,3 +165,15 @@ def test_the_closest_half_is_about_the_best_of_all_halves() -> None:
         assert not found[:5].any()
         # Concentration ends where no refit helps, next to the least of all halves.
         assert squares(tuple(np.flatnonzero(found))) <= 1.5 * least
+
+
+def test_points_that_disagree_are_among_the_others_in_whatever_order_they_are() -> None:
+    rng = np.random.default_rng(3)
+    ground = rng.uniform(0.0, 1.0, (2000, 3))
+    ordered = ground[np.argsort(ground[:, 1])]
+    for seed in range(10):
+        # Of the first 300 of either kind, those that disagree reach twice as far up the image.
+        agreeing = np.random.default_rng(seed).uniform(size=2000) > 0.35
+        assert _interleaved(ordered, agreeing)
+        assert _interleaved(ground, agreeing)
+    assert not _interleaved(ordered, np.arange(2000) > 700)

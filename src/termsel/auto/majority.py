@@ -355,11 +355,16 @@ def _may_be_bend(ground: FloatArray, agreeing: BoolArray, errors: FloatArray) ->
 
 def _interleaved(ground: FloatArray, agreeing: BoolArray) -> bool:
     """Return whether most points that disagree have some that agree in three quadrants."""
-    others = ground[~agreeing, None, :2][:MAX_SAMPLED_POINTS]
-    is_right, is_above = np.moveaxis(ground[agreeing, :2][:MAX_SAMPLED_POINTS] > others, 2, 0)
+    others = _spread(ground[~agreeing, None, :2])
+    is_right, is_above = np.moveaxis(_spread(ground[agreeing, :2]) > others, 2, 0)
     quadrants = np.stack([(is_right == right) & (is_above == above)
                           for right in (False, True) for above in (False, True)])
     return bool((quadrants.any(axis=2).sum(axis=0) >= 3).mean() > 0.5) if len(others) else False
+
+
+def _spread(rows: FloatArray) -> FloatArray:
+    """Return all of few rows, else as many as are looked at, spread over the order of the table."""
+    return rows[np.linspace(0, len(rows) - 1, min(len(rows), MAX_SAMPLED_POINTS)).astype(np.intp)]
 
 
 def _unlike_neighbours(ground: FloatArray, errors: FloatArray) -> bool:
@@ -368,8 +373,8 @@ def _unlike_neighbours(ground: FloatArray, errors: FloatArray) -> bool:
     Of independent errors the squared difference is twice the square in the mean; gross ones must
     not decide alone, so that each error counts by its direction and the root of its size.
     """
-    ground = ground[:MAX_SAMPLED_POINTS, :2]
-    errors = errors[:MAX_SAMPLED_POINTS]
+    ground = _spread(ground[:, :2])
+    errors = _spread(errors)
     tempered = errors / np.sqrt(np.maximum(np.linalg.norm(errors, axis=1), 1e-12))[:, None]
     distances = np.linalg.norm(ground[:, None] - ground, axis=2)
     np.fill_diagonal(distances, np.inf)
