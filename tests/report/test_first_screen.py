@@ -146,6 +146,14 @@ def test_each_figure_of_the_accuracy_stands_once() -> None:
     assert lines.count("2.50 px") == lines.count("2.49 m") == lines.count("2.44 px") == 1
 
 
+def test_the_figure_of_a_rival_stands_next_to_another_of_the_model() -> None:
+    # The rival's figure is that predicted for the model; left out, it would be taken for the ratio.
+    screen = CASES["auto-without-check-points"]
+    predicted = {**screen, "predicted": {**PREDICTED, "rmse": 0.6}}
+    [line] = [line for line in first_screen(**predicted) if line.startswith("Compared")]
+    assert "affine 0.60 px against 0.50 px in leave-one-out" in line
+
+
 def test_notes_that_do_not_fit_are_counted() -> None:
     notes = [f"Note {i} is long enough to be a line of its own. More of it." for i in range(9)]
     lines = first_screen(**CASES["outliers"], notes=notes)

@@ -350,7 +350,8 @@ def _against(record: Record, rival: BaselineRow) -> Iterator[str]:
         shown = "" if record.predicted is None else rounded(record.predicted.rmse)
         own = "" if rounded(own_rmse) in (shown, rounded(rival_rmse)) else \
             f" against {rounded(own_rmse)} px"
-        figure = f" {rounded(rival_rmse)} px{own}" if rounded(rival_rmse) != shown else ""
+        is_shown = rounded(rival_rmse) == rounded(own_rmse) == shown
+        figure = "" if is_shown else f" {rounded(rival_rmse)} px{own}"
         yield f"{name}{figure} in leave-one-out: {verdict}"
     else:
         yield f"{name} {rounded(rival_rmse)} px: {verdict}"

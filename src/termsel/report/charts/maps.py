@@ -74,9 +74,10 @@ def image_extent(view: View) -> Extent:
     # Of all residuals, not of a chosen member, so that members can be compared by their arrows.
     lengths = [float(np.hypot(row["dl"], row["ds"])) for row in view.in_image]
     scale = _exaggeration(lengths, wide)
+    longest = _longest_ordinary(lengths)
     ends = [(row["sample"] + scale * row["ds"], row["line"] + scale * row["dl"])
             for row, length in zip(view.in_image, lengths, strict=True)
-            if length <= ORDINARY * float(np.median(lengths))]
+            if length <= longest]
     return Extent(
         _reach([left_sample - margin, right_sample + margin], [sample for sample, _ in ends]),
         _reach([top - above, bottom + above], [line for _, line in ends]), scale)
@@ -92,13 +93,19 @@ def ground_extent(view: View) -> Extent:
     across = margin / view.flattening
     lengths = [float(np.hypot(row["dx"] * view.flattening, row["dy"])) for row in view.on_ground]
     scale = _exaggeration(lengths, tall)
+    longest = _longest_ordinary(lengths)
     ends = [(row["x"] + scale * row["dx"], row["y"] + scale * row["dy"])
             for row, length in zip(view.on_ground, lengths, strict=True)
-            if length <= ORDINARY * float(np.median(lengths))]
+            if length <= longest]
     low, high = _reach([south, north + margin], [y for _, y in ends])
     # The bar of the scale lies below all of them.
     return Extent(_reach([west - across, east + across], [x for x, _ in ends]),
                   (low - 2 * margin, high), scale)
+
+
+def _longest_ordinary(lengths: list[float]) -> float:
+    """Return the length up to which an arrow is ordinary, 0 of none."""
+    return ORDINARY * float(np.median(lengths)) if lengths else 0.0
 
 
 def _reach(values: list[float], more: list[float]) -> tuple[float, float]:
