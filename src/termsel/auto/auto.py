@@ -323,8 +323,8 @@ class Auto(Method):
         """Choose as `choose`, and whether from points with lines, or from the points alone.
 
         Lines that add more error than redundancy are left out whole: where the points alone predict
-        the points, each by the others, better by BETTER standard errors. The control of the chosen
-        fit then has no lines. `watch` is told of the choice from all features alone.
+        the points, each by the others, better by PRIOR_MARGIN standard errors. The control of the
+        chosen fit then has no lines. `watch` is told of the choice from all features alone.
         """
         count = len(data.features.points)
         choice = self.choose(data, watch, with_contained=with_contained)

@@ -39,7 +39,7 @@ class Interpolated(Estimator):
     """The interpolation of a model, where the points support it.
 
     Its terms are those of least squares, and have no influence. A random field is supported where
-    its probability exceeds that of `asked_of`.
+    its probability exceeds `required_probability`.
     """
 
     name = "interpolated"

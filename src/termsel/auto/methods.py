@@ -182,7 +182,6 @@ class _WithPhysics(Structure):
 
     def refit(self, fitted: Fit, data: FitData) -> Fit:
         """Return the fit to more points, which may no longer support the prior."""
-        # With more points the prior may no longer be supported.
         try:
             return self.fit(data)
         except Undetermined:

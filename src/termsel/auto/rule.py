@@ -148,7 +148,7 @@ def required(fitted: Fit, base: Fit) -> float:
     if not method_of(fitted).central:
         return CLEAR_MARGIN
     # Few points measured roughly, as in a drawn bird's-eye view, hardly tell standard errors apart;
-    # that they support an oblique view, or for a camera near by, is evidence of its own.
+    # that they support an oblique view, or a camera near by, is evidence of its own.
     view = fitted.view
     calls_for_camera = view is not None and (
         view.depth < OBLIQUE_DEPTH_RATIO or view.affine_share < CENTRAL_AFFINE_SHARE)

@@ -331,7 +331,6 @@ def find_reader(path: Path, readers: Iterable[type[Reader]], format: str | None 
         of_folder = _recognising(path, b"", for_folders)
         if of_folder is not None:
             return of_folder
-            return of_folder
     head = read_head(path, EXPECTED)
     if named:
         return named[0]

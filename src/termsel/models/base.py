@@ -202,7 +202,7 @@ class SensorModel(Configurable, ABC):
     def sensor_figures(self, coefficients: FloatArray) -> tuple[SensorFigure, ...]:
         """Return what the coefficients say of the sensor: of a camera its place and its angles.
 
-        Results show and record them. None, the default, where the terms stand for no sensor.
+        Results show and record them. Empty, the default, where the terms stand for no sensor.
 
         Parameters
         ----------

@@ -147,9 +147,6 @@ def compare(
 LONG_CELL_SECONDS = 20.0
 """Seconds from which on a cell is not run again to learn its time."""
 
-TIMED = 3
-"""Cells of a kind that are run to learn how long all of them take."""
-
 FINISHING = "The cells under way are being finished. Ctrl-C once more ends at once."
 
 
@@ -227,7 +224,7 @@ def _reasons(cells: list[Cell]) -> str:
 
 
 def _of_all_sizes(cells: list[Cell], sizes: list[int]) -> list[Cell]:
-    """Return up to `TIMED` cells of one kind: of the fewest features, middling and of the most."""
+    """Return up to three cells of one kind: of the fewest features, middling and of the most."""
     by_size = sorted(range(len(cells)), key=sizes.__getitem__)
     places = (0, len(cells) // 2, len(cells) - 1)
     # One of each number of features.
