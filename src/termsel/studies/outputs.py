@@ -14,7 +14,7 @@ from termsel.core.isolation.parts import install_hint, missing, package_of_name,
 from termsel.report.blocks import Block, Document
 from termsel.report.text import first_screen_of
 from termsel.studies.cells.image_table import image_reasons, image_table
-from termsel.studies.cells.table import csv_of, usual_notes, with_notes_once
+from termsel.studies.cells.table import csv_of, usual_notes_in_words, with_notes_once
 from termsel.studies.study import Study
 
 NAMES = ("study.csv", "study.parquet")
@@ -88,10 +88,8 @@ def summary(study: Study) -> str:
 def _images(study: Study) -> str:
     """Return what stands out, the table of images, and the reasons of verdicts, as text."""
     title = [study.spec.title] if study.spec.title else []
-    notes = [f"{number} of {len(study.rows)} images: {note}"
-             for note, number in usual_notes(study.rows).items()]
-    blocks: tuple[Block, ...] = (*title, *study.remarks, *notes, image_table(study.rows),
-                                 *image_reasons(study.rows))
+    blocks: tuple[Block, ...] = (*title, *study.remarks, *usual_notes_in_words(study.rows),
+                                 image_table(study.rows), *image_reasons(study.rows))
     return first_screen_of(Document("", "", blocks, ())).lstrip("\n")
 
 

@@ -15,6 +15,7 @@ from termsel.studies.cells.table import TIMES as TIMES
 from termsel.studies.cells.table import WAITING as WAITING
 from termsel.studies.cells.table import Row as Row
 from termsel.studies.cells.table import usual_notes as usual_notes
+from termsel.studies.cells.table import usual_notes_in_words as usual_notes_in_words
 from termsel.studies.execution.executors import AHEAD as AHEAD
 from termsel.studies.execution.executors import DIED as DIED
 from termsel.studies.execution.executors import Stop as Stop

@@ -19,6 +19,7 @@ from termsel.toolkit.studies import (
     own_notes,
     predicted_rmse,
     usual_notes,
+    usual_notes_in_words,
 )
 from termsel_studies.claims import claims
 from termsel_studies.fronts import front_figures
@@ -29,9 +30,7 @@ from termsel_studies.summaries import Summary, summaries
 
 def remarks_of(study: Study) -> list[str]:
     """Return what is said of the images together: which stand out, and the notes of most."""
-    images = [row for row in study.rows if row["strategy"] == "auto"]
-    return [*study.remarks, *(f"{number} of {len(images)} images: {note}"
-                              for note, number in usual_notes(images).items())]
+    return [*study.remarks, *usual_notes_in_words(study.rows)]
 
 
 def tables_of(study: Study, *, brief: bool = False) -> tuple[list[TableBlock], list[str]]:

@@ -115,6 +115,13 @@ def usual_notes(rows: Iterable[Row]) -> dict[str, int]:
             if number > 1 and number > USUAL * len(images)}
 
 
+def usual_notes_in_words(rows: Iterable[Row]) -> list[str]:
+    """Return the notes that most images have, such as "3 of 4 images: the heights are alike"."""
+    images = [row for row in rows if row["strategy"] == "auto"]
+    return [f"{number} of {len(images)} images: {note}"
+            for note, number in usual_notes(images).items()]
+
+
 def with_notes_once(rows: Sequence[Row]) -> list[Row]:
     """Return rows in which a note that most images have stands in the first of these alone."""
     usual = usual_notes(rows)
