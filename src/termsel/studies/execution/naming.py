@@ -65,7 +65,9 @@ def _name_images() -> None:
         if image and record.name.startswith("termsel."):
             text = record.getMessage()
             mark = next((mark for mark in _MARKS if text.startswith(mark)), "")
-            record.msg = f"{mark}{image}: {text.removeprefix(mark)}"
+            sentence = text.removeprefix(mark)
+            # A reader names its file itself.
+            record.msg = text if sentence.startswith(image) else f"{mark}{image}: {sentence}"
             record.args = ()
         return record
 
