@@ -326,3 +326,21 @@ def test_a_table_without_heights_says_so_at_most_once(header, tmp_path, call) ->
     for crs in ([], ["--crs", "EPSG:32632"]):
         done = call("run", "--points", path, *crs)
         assert (done.stdout + done.stderr).count("no column for z") <= 1
+
+
+def test_a_void_of_a_raster_is_no_height(tmp_path: Path) -> None:
+    file = tmp_path / "a.csv"
+    file.write_text("id,line,sample,x,y,z\nA,1,2,3,4,100\nB,5,6,7,8,-9999\nC,9,6,7,8,-9999.0\n")
+    with pytest.raises(TermselError, match="-9999 is no height, but what rasters have where there "
+                                           "is none, as in 2 rows") as raised:
+        termsel.read(file, crs="local")
+    assert (raised.value.line, raised.value.column) == (3, "z")
+
+
+def test_a_column_that_is_taken_for_another_meaning_is_named(tmp_path: Path) -> None:
+    file = tmp_path / "a.csv"
+    file.write_text("id,line,sample,x,y\nA,1,2,3,4\nB,5,6,7,8\nC,9,6,7,9\n")
+    with pytest.raises(TermselError, match="takes column 'y' for x, so that none is left for y"):
+        termsel.read(file, crs="local", columns="x=y")
+    swapped = termsel.read(file, crs="local", columns="x=y,y=x")
+    assert swapped.points.ground[0, :2].tolist() == [4.0, 3.0]

@@ -16,7 +16,7 @@ import termsel
 from termsel.core.errors import TermselError
 from termsel.data.features import FeatureSet, FloatArray, Lines, Points
 from termsel.formats import heights as module
-from termsel.formats.heights import open_dem, with_heights
+from termsel.formats.heights import open_dem, say_difference, with_heights
 from termsel.formats.readers.csv_tables import write_lines_csv, write_points_csv
 from termsel.simulate import simulate_scene
 
@@ -224,3 +224,17 @@ def test_a_value_for_no_data_beyond_the_type_is_none(tmp_path: Path) -> None:
                     "</VRTRasterBand></VRTDataset>")
     with open_dem(path, "EPSG:4326") as surface:
         assert np.isnan(surface(np.array([[6.5, 43.5]])))
+
+
+def test_a_height_far_from_the_control_is_said(tmp_path: Path,
+                                               caplog: pytest.LogCaptureFixture) -> None:
+    control = termsel.simulate_scene("ikonos-hamedan", n_lines=0)
+    result = termsel.run(features=control, method="dlt")
+    heights = control.points.ground[:, 2]
+    for height, side in ((heights.max() + 5000.0, "above"), (heights.min() - 5000.0, "below")):
+        caplog.clear()
+        say_difference(result.features, result.project, float(height))
+        assert f"5000 {side} the control" in caplog.text
+    caplog.clear()
+    say_difference(result.features, result.project, float(heights.mean()))
+    assert not caplog.text

@@ -284,3 +284,11 @@ def test_a_record_survives_the_journal(tmp_path: Path) -> None:
     journal.append(record)
     journal.close()
     assert read_journal(tmp_path).records["k"] == record
+
+
+def test_a_study_is_not_written_over_a_run(tmp_path: Path) -> None:
+    (tmp_path / "result.json").write_text("{}")
+    with pytest.raises(TermselError, match=r"has result\.json, the result of a run"):
+        termsel.compare(problems=["poly-terms"], solvers=["random"], seeds=1,
+                        budget={"evaluations": 20}, out=tmp_path)
+    assert [file.name for file in tmp_path.iterdir()] == ["result.json"]

@@ -167,6 +167,8 @@ def test_a_shift_is_named_and_chance_is_not() -> None:
     assert "is a shift" not in " ".join(statements_of(errors(noise)).notes)
     shifted = noise + np.array([2.0, 0.0])
     assert "error east is not chance" in " ".join(statements_of(errors(shifted)).notes)
+    two = np.array([[0.2, 0.0], [0.1, 0.3]])  # three standard deviations of the mean, p = 0.2
+    assert "is a shift" not in " ".join(statements_of(errors(two)).notes)
 
 
 def test_what_is_said_of_a_class_that_is_not_met() -> None:

@@ -28,6 +28,9 @@ from termsel.formats.vertical import (
 
 log = logging.getLogger(__name__)
 
+FAR_HEIGHT_PIXELS = 1.0
+"""Least displacement in the image from which on a height far from the control's is told."""
+
 Projection = Callable[[FloatArray], FloatArray]
 """Line and sample (n, 2) of ground places (n, 3)."""
 
@@ -316,19 +319,48 @@ def difference_of(features: FeatureSet, surface: Dem) -> DemDifference | None:
 
 def pixels_of(difference: DemDifference, features: FeatureSet, project: Projection) -> float:
     """Return by how much places of control move in the image where all heights change so [px]."""
+    return _pixels_by(difference.above / height_unit(features.crs), features, project)
+
+
+def _pixels_by(above: float, features: FeatureSet, project: Projection) -> float:
+    """Return by how much places of control move in the image where heights are `above` [px]."""
     ground = features.ground_vertices()
     ground = ground[np.isfinite(ground).all(axis=1)]
     with np.errstate(all="ignore"):
-        rise = np.array([0.0, 0.0, difference.above / height_unit(features.crs)])
-        moved = np.linalg.norm(project(ground + rise) - project(ground), axis=1)
+        raised = ground + np.array([0.0, 0.0, above])
+        moved = np.linalg.norm(project(raised) - project(ground), axis=1)
     return float(np.nanmedian(moved)) if np.isfinite(moved).any() else 0.0
 
 
 def say_difference(features: FeatureSet, project: Projection, surface: Dem | float) -> None:
-    """Warn where a raster contradicts the heights of control, with what it does to a map."""
-    difference = difference_of(features, surface) if isinstance(surface, Dem) else None
+    """Warn where a raster, or one height, contradicts the heights of control, and by how many px.
+    """
+    if not isinstance(surface, Dem):
+        _say_far_height(features, project, surface)
+        return
+    difference = difference_of(features, surface)
     if difference is not None and difference.contradicts:
         log.warning("Warning: %s", difference.sentence(pixels_of(difference, features, project)))
+
+
+def _say_far_height(features: FeatureSet, project: Projection, height: float) -> None:
+    """Warn where a height is farther from the control's than these are from each other."""
+    heights = features.ground_vertices()[:, 2]
+    heights = heights[np.isfinite(heights)]
+    if not len(heights):
+        return
+    lowest, highest = float(heights.min()), float(heights.max())
+    beyond = max(lowest - height, height - highest)
+    if beyond <= highest - lowest:
+        return
+    above = height - (highest if height > highest else lowest)
+    pixels = _pixels_by(above, features, project)
+    # A model of the plane does not see heights.
+    if pixels >= FAR_HEIGHT_PIXELS:
+        side = "above" if above > 0 else "below"
+        log.warning("Warning: the height %.6g is %.5g %s the control (%.6g to %.6g): %.3g px in "
+                    "the image, where the model was not tested. Is it in the unit of the control?",
+                    height, beyond, side, lowest, highest, pixels)
 
 
 def with_heights(features: FeatureSet, dem: Path) -> FeatureSet:

@@ -20,6 +20,7 @@ from termsel.core.isolation.parts import part
 from termsel.core.options import options_of_file
 from termsel.data.features import FeatureSet
 from termsel.io.export import writer_of
+from termsel.io.result_folder import RECORD
 from termsel.plugins.registry import registry
 from termsel.runs.notebook import line_of_many
 from termsel.runs.provenance import versions
@@ -251,6 +252,10 @@ def _begun(stack: ExitStack, folder: Path, current_versions: Mapping[str, str]) 
     stack.enter_context(locked(
         folder, "Wait for it, or choose another --out. "
                f"`termsel compare --status {folder}` shows how far it is."))
+    # Whatever reads the folder would take it for the study, and the result would be hidden.
+    if (folder / RECORD).exists() and not (folder / JOURNAL).exists():
+        raise TermselError(f"the folder has {RECORD}, the result of a run", file=folder,
+                           hint="A study would hide it. Choose another --out.")
     # Files of another program with such names must not be replaced.
     outputs = [name for name in (*names(), PLAN, IMAGES) if (folder / name).exists()]
     if outputs and not (folder / JOURNAL).exists():

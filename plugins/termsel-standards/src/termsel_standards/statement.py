@@ -20,6 +20,8 @@ VERTICAL = 1.96
 """NSSDA's factor from the vertical RMSE to 95 % confidence (appendix 3-A)."""
 MOST_POINTS, AREA_STEP, POINT_STEP = 120, 1000.0, 10
 """ASPRS, table C.1: 10 points more for every 1,000 km2 above the first, 120 at most."""
+SHIFT_CHANCE = 1 / 400
+"""Probability of a mean as far off by chance below which it is called a shift."""
 MEAN = 0.25
 """ASPRS: largest mean error, as a share of the RMSE of the class."""
 QUADRANT, MIN_DISTANCE = 0.2, 0.1
@@ -381,10 +383,11 @@ def _notes(ground_errors: GroundErrors, total: float, survey: float | None,
     elif survey > total / 2:
         notes.append("The check points are not twice as accurate as what they test.")
     notes += [f"Check points: {fault}." for fault in distribution.faults]
+    n = len(ground_errors.ids)
     for component in components:
-        # Three standard deviations of a mean: by chance one mean in 400 is as far off.
-        root_of_n = len(ground_errors.ids) ** 0.5
-        if component.deviation and abs(component.mean) * root_of_n > 3 * component.deviation:
+        # By Student's distribution: of few points means are far off by chance.
+        bound = stats.t.ppf(1.0 - SHIFT_CHANCE / 2, n - 1) / n**0.5 if n > 1 else np.inf
+        if component.deviation and abs(component.mean) > bound * component.deviation:
             notes.append(f"The mean error {component.name} is not chance: it is a shift.")
         limit = classes[component.name == "up"]
         if limit is not None and abs(component.mean) > MEAN * limit:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from termsel.core.errors import TermselError
+from termsel.core.errors import TermselError, amount
 from termsel.core.files.texts import unguarded
 from termsel.data.features import ROLES, FeatureSet, FloatArray, Points
 from termsel.data.tables.attributes import Attributes, rows_at
@@ -21,6 +21,9 @@ from termsel.formats.repeated import averaged, is_averaging
 _ENABLED = {"": True, "1": True, "true": True, "yes": True, "on": True,
             "0": False, "false": False, "no": False, "off": False}
 _WHOLE = re.compile(r"([01])\.0*")
+
+VOID_HEIGHTS = (-9999.0, -32768.0, -32767.0)
+"""What rasters of heights have where there is none, and people sample from them."""
 
 
 @dataclass(frozen=True)
@@ -161,10 +164,22 @@ class Table:
         sign = self.signs.get(meaning, POINT)
         try:
             # x and y may be degrees, minutes and seconds.
-            return read_numbers(self.columns[meaning], sign, may_be_blank=may_be_blank,
-                                angle=meaning[0] if meaning[0] in "xy" else "")
+            numbers = read_numbers(self.columns[meaning], sign, may_be_blank=may_be_blank,
+                                   angle=meaning[0] if meaning[0] in "xy" else "")
         except BadCell as error:
             raise self.error(error.what, error.row, meaning, error.hint) from None
+        if meaning[0] == "z":
+            self._refuse_voids(numbers, meaning)
+        return numbers
+
+    def _refuse_voids(self, heights: FloatArray, meaning: str) -> None:
+        """Raise a TermselError for what rasters of heights have where there is none."""
+        voids = np.flatnonzero(np.isin(heights, VOID_HEIGHTS))
+        if len(voids):
+            further = f", as in {amount(len(voids), 'row')}" if len(voids) > 1 else ""
+            raise self.error(f"{heights[voids[0]]:.0f} is no height, but what rasters have where "
+                             f"there is none{further}", int(voids[0]), meaning,
+                             "Leave these cells blank, or correct them.")
 
 
 def points_of(table: Table, crs: str) -> FeatureSet:

@@ -112,6 +112,7 @@ def _columns(path: Path | None, line: int | None, header: Sequence[str], rows: l
                 _merge_into_first(rows, candidates)
             columns[meaning] = candidates[0]
         elif not may_be_missing:
+            _refuse_taken(path, line, header, meaning, by_name[meaning], stated)
             # Advice needs what is known, though some of it may be ambiguous.
             last_by_name = {name: indices[-1] for name, indices in by_name.items() if indices}
             # Nobody can declare a column of deviations that is not there.
@@ -128,6 +129,19 @@ def _columns(path: Path | None, line: int | None, header: Sequence[str], rows: l
         log.info("Note: %s has no column for %s, so its heights are unknown. Accepted names: %s.",
                  path or "the table", " and ".join(heights), ", ".join(aliases[heights[0]]))
     return columns
+
+
+def _refuse_taken(path: Path | None, line: int | None, header: Sequence[str], meaning: str,
+                  named: Sequence[int], stated: Mapping[str, int]) -> None:
+    """Raise a TermselError where the user gave another meaning to the column of this one."""
+    for other, column in stated.items():
+        if column in named:
+            name = header[column].strip()
+            raise TermselError(
+                f"--columns takes column {name!r} for {other}, so that none is left for {meaning}",
+                file=path, line=line, column=name,
+                hint=f"Name the column of {meaning} as well: --columns {other}={name},"
+                     f"{meaning}=NAME. To exchange two columns name both.")
 
 
 def _ambiguous(path: Path | None, line: int | None, header: Sequence[str], meaning: str,
