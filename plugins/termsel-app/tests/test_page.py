@@ -97,7 +97,7 @@ class Screen:
         """Return what a script says."""
         return self.driver.execute_script(script, *given)
 
-    def wait(self, found: Callable[[], Any], seconds: float = 60) -> Any:
+    def wait(self, found: Callable[[], Any], seconds: float = 180) -> Any:
         """Return what a function finds, within a time."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
