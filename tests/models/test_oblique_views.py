@@ -18,6 +18,7 @@ from termsel.data.features import FloatArray
 from termsel.data.fit_data import FitData
 from termsel.data.scaling import scaling_of
 from termsel.data.view import view_of
+from termsel.fitting.accuracy import predicted_by
 
 MOST = 1.3
 """RMSE of auto at the truth by that of the better projection."""
@@ -340,3 +341,14 @@ def test_a_medium_blunder_in_an_oblique_view_is_named_alone(angle: int, relief: 
                                                                       image=image))))
     assert found is not None
     assert np.flatnonzero(found.blunders).tolist() == [11]
+
+
+@pytest.mark.parametrize(("name", "is_projection"), [("dlt", True), ("shrunken-quadratic", False)])
+def test_only_a_projection_explains_its_held_out_errors_by_leverage(name: str,
+                                                                    is_projection: bool) -> None:
+    """What a polynomial misses of a view stays, however much each point bears on it."""
+    fitted = termsel.fit(scene(40, 100, 9, 0).features, name)
+    assert fitted.view is not None
+    errors = np.ones((9, 2))
+    predicted = predicted_by(fitted, errors, 50).rmse
+    assert predicted < 1.3 if is_projection else predicted == pytest.approx(np.sqrt(2.0))

@@ -166,13 +166,17 @@ def predicted_between(errors: FloatArray, lines: IntArray) -> Predicted:
 
 
 def _errors_with_all_points(fitted: Fit, errors: FloatArray) -> FloatArray:
-    """Return what held-out errors of an oblique view would be were all points in use.
+    """Return what held-out errors of a projection would be were all points in use.
 
     A point of the leverage h is predicted by the others with the variance s^2 / (1 - h), and a new
     measurement at its place by all of them with s^2 (1 + h). These are alike where h is small; but
     a projection of five or six points is hardly determined without one of them.
+
+    That holds where noise is all that the model leaves. What a polynomial does not fit of a view,
+    as of a camera that turns while it scans, is no noise: its held-out errors stand.
     """
-    if fitted.view is None or len(fitted.control.lines) or len(errors) != fitted.used.sum():
+    if not _is_projection(fitted) or len(fitted.control.lines) \
+            or len(errors) != fitted.used.sum():
         return errors
     points = fitted.scaled_control.points.take(fitted.used)
     spread = fitted.estimator.spread(fitted, points.ground)
@@ -180,6 +184,14 @@ def _errors_with_all_points(fitted: Fit, errors: FloatArray) -> FloatArray:
     if not np.isfinite(leverage).all():
         return errors
     return np.asarray(errors * np.sqrt(1.0 - np.minimum(leverage, MAX_LEVERAGE)**2))
+
+
+def _is_projection(fitted: Fit) -> bool:
+    """Return whether a fit is a quotient by the distance from a camera whose view points show."""
+    if fitted.view is None:
+        return False
+    ground = fitted.scaled_control.ground_vertices()
+    return fitted.model.denominators(fitted.adjustment.coefficients, ground) is not None
 
 
 def _predicted_with_experience(fitted: Fit, errors: FloatArray, points: int,
