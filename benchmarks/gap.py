@@ -24,7 +24,7 @@ from benchmarks.new_points import correlation_interval, rmse_interval, scene
 from benchmarks.sets import ROOT, put
 from termsel.data.features import FloatArray, no_lines
 from termsel.fitting.residuals import Rmse
-from termsel.report.theme import (
+from termsel.results.theme import (
     BLUNDER,
     CONTROL,
     INDEPENDENT,

@@ -12,7 +12,7 @@ from gallery import small
 
 import termsel
 from termsel.io.example import write_example
-from termsel.report.plots import save
+from termsel.results.plots import save
 
 TARGET = Path(__file__).parent / "_static"
 PICTURES = {

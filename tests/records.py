@@ -8,9 +8,9 @@ from typing import Any
 from msgspec import convert
 
 from termsel.data.record.record import Record
-from termsel.report.answers import document
-from termsel.report.first_screen import next_step as next_command
-from termsel.report.text import first_screen_of, text_of
+from termsel.results.answers import document
+from termsel.results.first_screen import next_step as next_command
+from termsel.results.text import first_screen_of, text_of
 
 
 def outlier(name: str, error: float, excluded: bool, certainty: str = "certain",

@@ -68,9 +68,9 @@ from .models import ThinPlate as ThinPlate
 from .plugins.hookspecs import hookimpl as hookimpl
 from .plugins.session import get as get
 from .plugins.session import register as register
-from .report.blocks import Code as Code
-from .report.blocks import Note as Note
-from .report.blocks import TableBlock as TableBlock
+from .results.blocks import Code as Code
+from .results.blocks import Note as Note
+from .results.blocks import TableBlock as TableBlock
 from .results.extras import Measure as Measure
 from .results.extras import ReportSection as ReportSection
 from .results.result import Result as Result

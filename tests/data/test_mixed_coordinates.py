@@ -10,7 +10,7 @@ import pytest
 import termsel
 from termsel.data.coordinates.mixed import note_on_mixed
 from termsel.data.features import FeatureSet, Points
-from termsel.report.first_screen import next_step
+from termsel.results.first_screen import next_step
 
 pyproj = pytest.importorskip("pyproj")
 

@@ -20,7 +20,7 @@ from termsel.data.features import FeatureSet, FloatArray, Points
 from termsel.data.roles import observe
 from termsel.formats.readers.csv_tables import write_points_csv
 from termsel.io.accuracy_tags import accuracy_tags
-from termsel.report.compared import verdict_on_choice
+from termsel.results.compared import verdict_on_choice
 
 NOISE = 0.6
 EXTENT = np.array([15_000.0, 12_000.0])

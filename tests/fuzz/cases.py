@@ -26,9 +26,9 @@ from termsel.core.errors import TermselError, printable
 from termsel.data.features import FeatureSet
 from termsel.formats.heights import with_heights
 from termsel.plugins.registry import registry
-from termsel.report import pictures
-from termsel.report.pictures import picture
+from termsel.results import pictures
 from termsel.results.checksums import SEALS, of_record
+from termsel.results.pictures import picture
 from termsel.runs.request import DATA_OPTIONS
 from termsel.simulate import read_geometry
 from tests.fuzz import readers, surfaces

@@ -194,6 +194,13 @@ def test_the_toolkit_holds_what_several_packages_need_and_its_modules_what_one_d
     assert len(shared) <= 50
 
 
+def test_at_most_fifteen_rooms_stand_on_the_road() -> None:
+    package = ROOT / "src/termsel"
+    rooms = [name for name in ROOMS if (package / name).is_dir()]
+    assert rooms[:2] == ["toolkit", "testing"]
+    assert len(rooms[2:]) <= 15
+
+
 def test_no_public_name_is_a_room() -> None:
     # `termsel.data` would be the function or the room, by what was imported first.
     names = {*termsel.__all__, *toolkit.__all__}

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.report.pictures import with_margins
+from termsel.results.pictures import with_margins
 
 altair = pytest.importorskip("altair")
 pytest.importorskip("vl_convert")
@@ -37,7 +37,7 @@ def test_the_empires_in_the_history_are_those_of_the_search() -> None:
 
 
 def test_a_long_search_is_thinned_and_keeps_its_ends() -> None:
-    from termsel.report.charts.search import spaced
+    from termsel.results.charts.search import spaced
 
     history = [{"evaluations": i} for i in range(10_007)]
     shown = spaced(history, 400)
@@ -59,7 +59,7 @@ def test_residuals_of_rounding_alone_are_not_exaggerated(kind: str, tmp_path: Pa
     for param in drawn.to_dict().get("params", []):
         if param.get("name") == "exaggeration":
             assert param["value"] == 1
-    from termsel.report.plots import save
+    from termsel.results.plots import save
     save(drawn, tmp_path / "map.png")
     assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
 
@@ -89,7 +89,7 @@ def test_a_result_without_heights_is_shown_in_metres() -> None:
     ([60.0, 1, 0.9, 0.8], {"F0"}), ([80.0, 40, 1, 0.9, 0.8, 0.7, 0.5], {"F0", "F1"}),
     ([8.0, 4, 2, 1], set()), ([1.0], set()), ([0.0, 0.0], set()), ([], set())])
 def test_one_blunder_does_not_flatten_all_bars(errors: list[float], broken: set[str]) -> None:
-    from termsel.report.charts import bars
+    from termsel.results.charts import bars
 
     view: Any = SimpleNamespace(worst=[
         {"id": f"F{i}", "role": "control", "distance": error,
@@ -112,7 +112,7 @@ def test_one_blunder_does_not_flatten_all_bars(errors: list[float], broken: set[
     ("local", None, ("x [unit not known], local", "y [unit not known]"))])
 def test_axes_on_the_ground_have_units(crs: str, unit: float | None,
                                        axes: tuple[str, str]) -> None:
-    from termsel.report.charts import maps
+    from termsel.results.charts import maps
 
     view: Any = SimpleNamespace(record=SimpleNamespace(data=SimpleNamespace(crs=crs)),
                                 units_per_metre=unit)

@@ -11,7 +11,7 @@ from msgspec import convert
 
 from termsel.data.record.figures import determined_exactly
 from termsel.data.record.record import Record
-from termsel.report.first_screen import SCREEN_LINES
+from termsel.results.first_screen import SCREEN_LINES
 from tests.records import (
     baseline,
     counts,

@@ -14,7 +14,7 @@ import pytest
 import termsel
 from termsel.core.errors import TermselError
 from termsel.data.thumbnail import thumbnail
-from termsel.report.plots import chart, save
+from termsel.results.plots import chart, save
 
 altair = pytest.importorskip("altair")
 pytest.importorskip("vl_convert")

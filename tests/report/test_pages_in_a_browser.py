@@ -244,7 +244,7 @@ def test_charts_of_a_notebook_are_live_without_a_connection(
         browser: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import altair
 
-    from termsel.report import notebook
+    from termsel.results import notebook
 
     monkeypatch.setattr(notebook, "_sent", False)
     plot = termsel.run("poly-terms", features=hostile()).plot

@@ -19,9 +19,9 @@ import pytest
 
 import termsel
 from termsel.data.record.search import HistoryRow
-from termsel.report import view
-from termsel.report.plots import KINDS, chart
-from termsel.report.theme import styled
+from termsel.results import view
+from termsel.results.plots import KINDS, chart
+from termsel.results.theme import styled
 from termsel.studies.cells.journal import CellRecord
 from termsel.studies.plan.spec import spec_of
 from termsel.studies.study import Study

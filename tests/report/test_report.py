@@ -18,10 +18,10 @@ import termsel
 from termsel.cli import plot
 from termsel.cli.main import cli
 from termsel.data.record.base import plain
-from termsel.report import library
-from termsel.report.charts import maps
-from termsel.report.plots import KINDS
-from termsel.report.repeat import command, not_by_command
+from termsel.results import library
+from termsel.results.charts import maps
+from termsel.results.plots import KINDS
+from termsel.results.repeat import command, not_by_command
 
 altair = pytest.importorskip("altair")
 pytest.importorskip("vl_convert")
@@ -322,8 +322,8 @@ def test_a_page_of_a_thousand_features_is_small(tmp_path: Path) -> None:
 def test_of_many_residuals_the_largest_and_some_others_are_shown(
     chosen: termsel.Result, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr("termsel.report.view.DRAWN", 30)
-    monkeypatch.setattr("termsel.report.view.LARGEST_RESIDUALS", 10)
+    monkeypatch.setattr("termsel.results.view.DRAWN", 30)
+    monkeypatch.setattr("termsel.results.view.LARGEST_RESIDUALS", 10)
     count, largest = len(chosen.residuals), sorted(r.distance for r in chosen.residuals)[-10:]
     step = -(-count // 20)
     fresh = chosen.with_()  # what is shown is kept

@@ -16,7 +16,7 @@ import pytest
 
 import termsel
 from termsel.core.isolation.helper import Helper
-from termsel.report import pictures
+from termsel.results import pictures
 from termsel.studies.outputs import write_outputs
 
 pytest.importorskip("altair")

@@ -12,7 +12,7 @@ import termsel
 from termsel.auto.auto import Auto
 from termsel.data.features import FeatureSet, no_lines
 from termsel.data.roles import by_roles
-from termsel.report.repeat import command
+from termsel.results.repeat import command
 from termsel.runs.verdict import judge_features, judge_independent
 
 ROLES = ("control", "check", "independent")

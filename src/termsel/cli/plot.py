@@ -48,7 +48,7 @@ def plot(folder: Path, kind: str, output: Path, overwrite: bool) -> None:
 
     from termsel.io.replacing import require_replaceable
     from termsel.io.result_folder import read_result
-    from termsel.report.plots import chart, require_picture, save
+    from termsel.results.plots import chart, require_picture, save
     from termsel.studies.cells.folder import PLAN
 
     if (folder / PLAN).is_file():

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from termsel.core.errors import counted
 from termsel.core.version import __version__
 from termsel.fitting.accuracy import pixel_on_ground
-from termsel.report.accuracy import are_computed, expected_of, lattice_of, predicted_first
+from termsel.results.accuracy import are_computed, expected_of, lattice_of, predicted_first
 
 if TYPE_CHECKING:
     from termsel.results.result import Result

@@ -10,7 +10,7 @@ from typing import Any
 
 from termsel.core.errors import TermselError
 from termsel.core.isolation.faults import blamed, wrong
-from termsel.report.blocks import (
+from termsel.results.blocks import (
     Block,
     Code,
     Detail,
@@ -21,7 +21,7 @@ from termsel.report.blocks import (
     Statement,
     TableBlock,
 )
-from termsel.report.text import text_of
+from termsel.results.text import text_of
 
 # A result is `Any` here: `Result` itself shows these sections.
 _MAX_BLOCKS = 1000  # blocks of a section: a generator without an end is no section

@@ -27,16 +27,16 @@ from termsel.data.thumbnail import thumbnail
 from termsel.fitting.figures import in_role, residuals_of
 from termsel.fitting.fit import Fit
 from termsel.fitting.residuals import Residuals
-from termsel.report.accuracy import accuracy_of
-from termsel.report.answers import document
-from termsel.report.first_screen import next_step, title_of
-from termsel.report.page import page
-from termsel.report.plots import Plots
-from termsel.report.text import first_screen_of, text_of
-from termsel.report.view import View
+from termsel.results.accuracy import accuracy_of
+from termsel.results.answers import document
 from termsel.results.checksums import SEALS, checksums_of
 from termsel.results.extras import further_sections
+from termsel.results.first_screen import next_step, title_of
+from termsel.results.page import page
+from termsel.results.plots import Plots
 from termsel.results.same_fit import least_squares_of, numbers_of
+from termsel.results.text import first_screen_of, text_of
+from termsel.results.view import View
 
 if TYPE_CHECKING:
     from termsel.data.rpc import Rpc

@@ -18,7 +18,7 @@ from termsel.fitting.fit import Fit
 from termsel.fitting.least_squares import fit
 from termsel.fitting.method import Method
 from termsel.plugins.registry import registry
-from termsel.report.compared import ALIKE_RATIO, times, verdict_on_choice
+from termsel.results.compared import ALIKE_RATIO, times, verdict_on_choice
 from termsel.selection.criteria import Criterion
 from termsel.selection.problems.genome import Genome
 from termsel.selection.solvers.search import SearchResult

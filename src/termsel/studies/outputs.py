@@ -11,8 +11,8 @@ from pathlib import Path
 from termsel.core.errors import counted
 from termsel.core.files.atomic import atomic_path, write_text
 from termsel.core.isolation.parts import install_hint, missing, package_of_name, parts
-from termsel.report.blocks import Block, Document
-from termsel.report.text import first_screen_of
+from termsel.results.blocks import Block, Document
+from termsel.results.text import first_screen_of
 from termsel.studies.cells.image_table import image_reasons, image_table
 from termsel.studies.cells.table import csv_of, usual_notes_in_words, with_notes_once
 from termsel.studies.study import Study

@@ -241,7 +241,7 @@ class RunOptions:
     def page(self) -> Path | None:
         """Return the page of ``--report``, if it is asked for and may be written."""
         from termsel.io.replacing import require_replaceable
-        from termsel.report.theme import require_altair
+        from termsel.results.theme import require_altair
 
         if not self.reports or self.out is None:
             return None

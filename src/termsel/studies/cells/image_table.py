@@ -8,7 +8,7 @@ from collections.abc import Container, Sequence
 
 from termsel.core.display.numbers import rounded
 from termsel.core.errors import counted
-from termsel.report.blocks import TableBlock
+from termsel.results.blocks import TableBlock
 from termsel.studies.cells.table import Row, usual_notes
 from termsel.studies.cells.verdicts import FIT, VERDICTS
 

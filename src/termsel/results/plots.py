@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 from termsel.core.errors import TermselError, unknown_name
 from termsel.core.files.atomic import write_bytes
-from termsel.report.blocks import Figure
-from termsel.report.charts import bars, maps, search, terms
-from termsel.report.notebook import offline
-from termsel.report.pictures import picture
-from termsel.report.theme import require_altair, styled
-from termsel.report.view import View
+from termsel.results.blocks import Figure
+from termsel.results.charts import bars, maps, search, terms
+from termsel.results.notebook import offline
+from termsel.results.pictures import picture
+from termsel.results.theme import require_altair, styled
+from termsel.results.view import View
 
 
 @dataclass(frozen=True)

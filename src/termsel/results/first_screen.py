@@ -19,10 +19,10 @@ from termsel.data.record.figures import (
     Outlier,
 )
 from termsel.data.record.record import Record, WhatWasRead
-from termsel.report.accuracy import accuracy_lines, is_exact, lattice_of, reused_points
-from termsel.report.blocks import Fact
-from termsel.report.compared import are_alike, label_of, verdict_on_choice
-from termsel.report.verdict import off_option, size_of_errors, too_few_to_test
+from termsel.results.accuracy import accuracy_lines, is_exact, lattice_of, reused_points
+from termsel.results.blocks import Fact
+from termsel.results.compared import are_alike, label_of, verdict_on_choice
+from termsel.results.verdict import off_option, size_of_errors, too_few_to_test
 
 SCREEN_LINES = 12
 """Lines of the first screen, the command that comes last included."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from termsel.report.blocks import TableBlock
-from termsel.report.charts.search import spaced
-from termsel.report.charts.terms import frequency_rows, term_rows
-from termsel.report.view import View
+from termsel.results.blocks import TableBlock
+from termsel.results.charts.search import spaced
+from termsel.results.charts.terms import frequency_rows, term_rows
+from termsel.results.view import View
 
 MAX_GENERATION_ROWS = 30
 """Rows of the search."""

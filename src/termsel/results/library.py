@@ -12,7 +12,7 @@ from pathlib import Path
 from termsel.core.errors import TermselError, requires
 from termsel.core.files.atomic import write_bytes
 from termsel.core.version import __version__
-from termsel.report.pictures import bundle
+from termsel.results.pictures import bundle
 
 EMBED = "termselEmbed"
 """The function of the library, by a name that no other script on a page has."""

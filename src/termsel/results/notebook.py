@@ -15,9 +15,9 @@ from importlib.util import find_spec
 from typing import Any
 from uuid import uuid4
 
-from termsel.report.library import EMBED, library
-from termsel.report.pictures import drawable, picture
-from termsel.report.theme import require_altair
+from termsel.results.library import EMBED, library
+from termsel.results.pictures import drawable, picture
+from termsel.results.theme import require_altair
 
 _sent = False
 

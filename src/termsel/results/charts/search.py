@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from termsel.data.record.search import HistoryRow
-from termsel.report.charts.maps import image_map
-from termsel.report.sizes import counted_by, recommended, size_of
-from termsel.report.theme import (
+from termsel.results.charts.maps import image_map
+from termsel.results.sizes import counted_by, recommended, size_of
+from termsel.results.theme import (
     CHECK,
     CONTROL,
     EDGE,
@@ -22,7 +22,7 @@ from termsel.report.theme import (
     role_legend,
     spread_scale,
 )
-from termsel.report.view import Row, View
+from termsel.results.view import Row, View
 
 MAX_GENERATIONS_SHOWN = 400
 """Generations that a chart shows: of a longer search, those evenly spaced."""

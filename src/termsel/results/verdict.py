@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from termsel.core.display.numbers import rounded
 from termsel.data.record.figures import BlunderTest
 from termsel.data.record.record import Record
-from termsel.report.blocks import Block, TableBlock
-from termsel.report.compared import ROLE_WORDS
+from termsel.results.blocks import Block, TableBlock
+from termsel.results.compared import ROLE_WORDS
 
 CERTAINTY = {"certain": "blunder", "probable": "probable blunder", "possible": "possible blunder"}
 """What a feature is called that contradicts all others."""

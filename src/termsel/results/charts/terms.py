@@ -6,7 +6,7 @@ from collections import Counter
 from typing import Any
 
 from termsel.data.record.figures import SIGNIFICANT
-from termsel.report.theme import (
+from termsel.results.theme import (
     CHECK,
     CONTROL,
     FAINT,
@@ -17,7 +17,7 @@ from termsel.report.theme import (
     chart_rows,
     require_altair,
 )
-from termsel.report.view import Row, View
+from termsel.results.view import Row, View
 
 ROW = 15
 

@@ -17,7 +17,7 @@ from itertools import groupby
 from typing import Any
 
 from termsel.core.errors import printable
-from termsel.report.blocks import (
+from termsel.results.blocks import (
     Block,
     Code,
     Detail,
@@ -29,9 +29,9 @@ from termsel.report.blocks import (
     Statement,
     TableBlock,
 )
-from termsel.report.library import library
-from termsel.report.pictures import drawable
-from termsel.report.theme import dark_style, styled
+from termsel.results.library import library
+from termsel.results.pictures import drawable
+from termsel.results.theme import dark_style, styled
 
 MOST_COLUMNS = 8
 """Of a table on a narrow screen; one with more has its cells one below the other there."""
@@ -199,7 +199,7 @@ def _text(text: str) -> str:
 
 
 def _resource(name: str) -> str:
-    return (files("termsel.report") / name).read_text(encoding="utf-8")
+    return (files("termsel.results") / name).read_text(encoding="utf-8")
 
 
 def _checksum(text: str) -> str:

@@ -16,14 +16,14 @@ from termsel.data.record.base import plain
 from termsel.data.record.figures import Accuracy, InImage, OnGround, Predicted, RoleRmse
 from termsel.data.record.record import Record
 from termsel.fitting.figures import LEAVE_ONE_OUT
-from termsel.report.accuracy import (
+from termsel.results.accuracy import (
     agreement_of_computed,
     are_computed,
     expected_of,
     lattice_of,
     predicted_first,
 )
-from termsel.report.blocks import (
+from termsel.results.blocks import (
     Block,
     Code,
     Detail,
@@ -34,14 +34,14 @@ from termsel.report.blocks import (
     Statement,
     TableBlock,
 )
-from termsel.report.charts import bars, maps
-from termsel.report.compared import ROLE_WORDS, fits_of, label_of
-from termsel.report.first_screen import are_all_named, first_screen
-from termsel.report.plots import figure, missing
-from termsel.report.selected import selected
-from termsel.report.tables import sigma_table
-from termsel.report.verdict import contradicting, verdict_table
-from termsel.report.view import View
+from termsel.results.charts import bars, maps
+from termsel.results.compared import ROLE_WORDS, fits_of, label_of
+from termsel.results.first_screen import are_all_named, first_screen
+from termsel.results.plots import figure, missing
+from termsel.results.selected import selected
+from termsel.results.tables import sigma_table
+from termsel.results.verdict import contradicting, verdict_table
+from termsel.results.view import View
 
 EXACT_BELOW = 1e-9
 """RMSE [px] that is rounding of the computation alone."""

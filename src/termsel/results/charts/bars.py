@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from termsel.report.compared import THIS, fits_of, label_of
-from termsel.report.theme import (
+from termsel.results.compared import THIS, fits_of, label_of
+from termsel.results.theme import (
     BLUNDER,
     CONTROL,
     FAINT,
@@ -23,8 +23,8 @@ from termsel.report.theme import (
     role_legend,
     spread_scale,
 )
-from termsel.report.verdict import CERTAINTY
-from termsel.report.view import Row, View
+from termsel.results.verdict import CERTAINTY
+from termsel.results.view import Row, View
 
 WORST = 25
 """Features that the chart of the worst residuals shows."""

@@ -6,7 +6,7 @@ import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 
 from termsel.core.errors import printable
-from termsel.report.blocks import (
+from termsel.results.blocks import (
     Block,
     Code,
     Detail,

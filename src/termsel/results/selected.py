@@ -10,14 +10,14 @@ from termsel.data.record.figures import SIGNIFICANT, AdjustmentFigures, RoleRmse
 from termsel.data.record.record import Record
 from termsel.data.record.search import Certificate, Member, SizeRow, Strategy
 from termsel.fitting.diagnosis import CORRELATED
-from termsel.report import sizes
-from termsel.report.blocks import Block, Detail, Figure, Names, TableBlock
-from termsel.report.charts import search
-from termsel.report.compared import label_of
-from termsel.report.first_screen import share
-from termsel.report.plots import figure, missing
-from termsel.report.tables import OF_TERMS
-from termsel.report.view import View
+from termsel.results import sizes
+from termsel.results.blocks import Block, Detail, Figure, Names, TableBlock
+from termsel.results.charts import search
+from termsel.results.compared import label_of
+from termsel.results.first_screen import share
+from termsel.results.plots import figure, missing
+from termsel.results.tables import OF_TERMS
+from termsel.results.view import View
 
 
 def selected(record: Record, view: View | None, picture: str) -> Iterator[Block]:

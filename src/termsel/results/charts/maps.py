@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from termsel.data.coordinates.crs import is_geographic, short
-from termsel.report.theme import (
+from termsel.results.theme import (
     BLUNDER,
     EDGE,
     GROUND,
@@ -22,7 +22,7 @@ from termsel.report.theme import (
     require_altair,
     role_legend,
 )
-from termsel.report.view import Row, View, nice
+from termsel.results.view import Row, View, nice
 
 LENGTH = 0.06
 """Of the median vector, in widths of the map."""

@@ -20,7 +20,7 @@ from termsel.fitting.figures import residuals_of
 from termsel.fitting.fit import Fit
 from termsel.fitting.residuals import Residual, Residuals
 from termsel.fitting.scene import errors_on_ground, scene_grid
-from termsel.report.repeat import command, not_by_command
+from termsel.results.repeat import command, not_by_command
 
 Row = dict[str, Any]
 

@@ -14,7 +14,7 @@ from termsel.data.record.figures import (
     determined_exactly,
 )
 from termsel.data.record.record import Record
-from termsel.report.verdict import contradicting
+from termsel.results.verdict import contradicting
 
 _ROUNDING_PX = 1e-9
 """Predicted RMSE [px] below which points without errors leave only rounding."""

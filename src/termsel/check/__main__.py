@@ -1,5 +1,0 @@
-"""Entry of ``python -m termsel.check``."""
-
-from termsel.check import main
-
-raise SystemExit(main())

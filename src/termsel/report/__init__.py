@@ -1,1 +1,0 @@
-"""What people see of a record: text, charts, pages."""
