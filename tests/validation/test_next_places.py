@@ -13,7 +13,7 @@ import termsel
 from termsel.cli.main import cli
 from termsel.data.features import FeatureSet, FloatArray, Points, no_points
 from termsel.fitting.fit import Fit
-from termsel.fitting.next_places import MIN_DISTANCE, rank_places
+from termsel.fitting.next_places import MIN_DISTANCE, covariances, rank_places
 from termsel.fitting.scene import scene_grid
 from termsel.io.plan import GRID, plan
 from termsel.simulate import scene_truth, simulate_scene
@@ -64,8 +64,8 @@ def test_greedy_choice_is_the_best_by_brute_force() -> None:
     fitted = _fit(points.take(np.arange(12)))
     candidates, scene = points.ground[12:24], points.ground[24:]
     found = rank_places(fitted, candidates, scene, 3, min_distance=0.0)
-    both = fitted.estimator.spread(fitted, fitted.scaling.ground(
-        np.concatenate([candidates, scene])))
+    both = covariances(fitted, np.concatenate([candidates, scene]))
+    assert both is not None
     assert both.factors is not None
 
     def mean_after(chosen: list[int]) -> float:
@@ -97,13 +97,18 @@ def test_a_model_of_lines_plans_by_its_own_adjustment() -> None:
     assert (np.diff([found.sigma_before, *found.sigma]) < 0).all()
 
 
-def test_a_spline_is_planned_as_a_polynomial_of_its_points() -> None:
-    points = simulate_scene("ikonos-hamedan", n_points=40).points
-    control = FeatureSet(replace(points.take(np.arange(15)), roles=()))
-    spline, cubic = termsel.fit(control, "tps"), termsel.fit(control, "poly2d", degree=2)
-    one, other = (rank_places(fitted, points.ground[15:25], points.ground[25:], 4)
-                  for fitted in (spline, cubic))
-    assert one.order.tolist() == other.order.tolist()
+@pytest.mark.parametrize(("model", "count"), [("tps", 15), ("tps", 30), ("field", 24)])
+def test_a_local_model_is_planned_by_its_own_sigma(model: str, count: int) -> None:
+    points = simulate_scene("ikonos-hamedan", n_points=60).points
+    if model == "tps":
+        points = replace(points, ground=points.ground * [1.0, 1.0, np.nan])
+    fitted = termsel.fit(
+        FeatureSet(replace(points.take(np.arange(count)), roles=()), crs="EPSG:4979"), model)
+    scene = points.ground[30:]
+    found = rank_places(fitted, scene, scene, 5)
+    assert found.sigma_before == pytest.approx(
+        np.sqrt((fitted.sigma(scene)**2).sum(axis=1).mean()), rel=0.01)
+    assert (np.diff([found.sigma_before, *found.sigma]) < 0).all()
 
 
 def test_without_redundancy_nothing_can_be_planned() -> None:

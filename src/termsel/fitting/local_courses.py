@@ -17,8 +17,8 @@ kriging)
 The mean square error of any model at the place is this variance and the square of the distance of
 the model from the mean, averaged over all courses.
 
-Of more than 200 points, 200 that are spread over them tell it: more would lessen the errors
-further, so that sigma is then too large, of 1000 points up to twice.
+Of more than 200 points, 200 that are spread over them tell how likely each course is. The mean and
+the variance at a place are then by the 200 that are nearest to its cell, of some 100 points.
 
 References
 ----------
@@ -29,11 +29,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from termsel.data.features import FloatArray, Points
+from termsel.data.features import FloatArray, IntArray, Points
 from termsel.fitting.misfit import (
+    MISFIT_MAX_POINTS,
     NEGLIGIBLE_SHARE,
     Course,
     NoisePrior,
@@ -62,8 +65,44 @@ RATIOS = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 12.8, 25.6)
 
 FIELD_PROBABILITY = 0.5
 
+CELL_POINTS = 100
+"""Most points of a cell."""
+
 NOISE_BY_TREND = np.geomspace(0.01, 2.0, 26)
 """Noises that are tried, by the scatter about the trend."""
+
+
+@dataclass(frozen=True, eq=False)
+class Solutions:
+    """How likely ratios and noises are under one covariance, `shares` (2, r, s) of all courses."""
+
+    lengths: tuple[float, float]
+    smoothness: float
+    ratios: tuple[float, ...]
+    shares: FloatArray
+
+    def course(self, system: System) -> Course:
+        """Return the course of some control."""
+        likely = self.shares.sum(axis=2).max(axis=0) > NEGLIGIBLE_SHARE
+        ratios = tuple(np.array(self.ratios)[likely].tolist())
+        return system.course(self.lengths, self.smoothness, ratios, self.shares[:, likely])
+
+
+@dataclass(frozen=True, eq=False)
+class Cell:
+    """A part of the control, and what it tells of places near by."""
+
+    positions: FloatArray  # (n, 2): of control in the cell and around it
+    courses: tuple[Course, ...]
+
+    def squares(self, positions: FloatArray, deviations: FloatArray) -> FloatArray:
+        """Return the mean square errors, (m, 2), of a model with such deviations at positions."""
+        trend = trend_of(positions, len(self.positions))
+        total = np.zeros((len(positions), 2))
+        for course in self.courses:
+            columns = course.columns(positions, self.positions, trend)
+            total += course.squares(columns, deviations)
+        return total
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,18 +110,68 @@ class LocalCourses:
     """What points in a plane tell of the truth, in scaled coordinates."""
 
     to_image: FloatArray  # (3, 2): affine map of the ground
-    positions: FloatArray  # (n, 2): of the control under that map
-    courses: tuple[Course, ...]
+    control: System
+    solutions: tuple[Solutions, ...]
     noise: float  # variance of a measurement of unit weight
+
+    @cached_property
+    def _spread_cell(self) -> Cell:
+        """All of few points, or those that are spread over them."""
+        return self._cell(rows_of_field(len(self.control.positions)))
+
+    @cached_property
+    def _centres(self) -> FloatArray:
+        """The middles of all cells, (c, 2)."""
+        positions = self.control.positions
+        if len(positions) <= MISFIT_MAX_POINTS:
+            return positions.mean(axis=0, keepdims=True)
+        return np.array([positions[rows].mean(axis=0)
+                         for rows in _halved(positions, np.arange(len(positions)))])
+
+    @cached_property
+    def _cells(self) -> dict[int, Cell]:
+        """The cells that were asked for, by number."""
+        return {}
+
+    def _cell_of(self, number: int) -> Cell:
+        if len(self._centres) == 1:
+            return self._spread_cell
+        if number not in self._cells:
+            squares = ((self.control.positions - self._centres[number])**2).sum(axis=1)
+            nearest = np.argpartition(squares, MISFIT_MAX_POINTS)[:MISFIT_MAX_POINTS]
+            self._cells[number] = self._cell(nearest)
+        return self._cells[number]
+
+    def _cell(self, rows: IntArray) -> Cell:
+        system = self.control.take(rows)
+        return Cell(system.positions,
+                    tuple(solutions.course(system) for solutions in self.solutions))
 
     def squares(self, ground: FloatArray, image: FloatArray) -> FloatArray:
         """Return the mean square errors, (m, 2), of a model that sees places in the image."""
         positions = _affine(ground) @ self.to_image
-        trend = trend_of(positions, len(self.positions))
-        total = np.zeros((len(ground), 2))
-        for course in self.courses:
-            columns = course.columns(positions, self.positions, trend)
-            total += course.squares(columns, image - positions)
+        total = np.full((len(ground), 2), np.nan)
+        finite = np.isfinite(positions).all(axis=1)
+        number_of_cell = np.full(len(ground), -1)
+        number_of_cell[finite] = cKDTree(self._centres).query(positions[finite])[1]
+        for number in np.unique(number_of_cell[finite]):
+            inside = number_of_cell == number
+            total[inside] = self._cell_of(int(number)).squares(
+                positions[inside], (image - positions)[inside])
+        return total
+
+    def covariance(self, ground: FloatArray, image: FloatArray, axis: int) -> FloatArray:
+        """Return the mean products of such errors among places, (m, m), on one axis.
+
+        Of many points they are by those that are spread over them.
+        """
+        positions = _affine(ground) @ self.to_image
+        cell = self._spread_cell
+        trend = trend_of(positions, len(cell.positions))
+        total = np.zeros((len(ground), len(ground)))
+        for course in cell.courses:
+            columns = course.columns(positions, cell.positions, trend)
+            total += course.covariance(positions, columns, axis, (image - positions)[:, axis])
         return total
 
 
@@ -91,23 +180,24 @@ def local_courses(points: Points, pixel: float) -> LocalCourses | None:
 
     A `pixel` is in scaled coordinates.
     """
-    points = points.take(rows_of_field(len(points)))
-    n = len(points)
+    spread = rows_of_field(len(points))
+    n = len(spread)
     if n < LOCAL_MIN_POINTS:
         return None
     affine = _affine(points.ground)
-    to_image = np.asarray(np.linalg.lstsq(affine, points.image)[0], dtype=np.float64)
+    to_image = np.asarray(np.linalg.lstsq(affine[spread], points.image[spread])[0],
+                          dtype=np.float64)
     positions = affine @ to_image
     deviations = points.image - positions
     trend = trend_of(positions, n)
-    if np.linalg.matrix_rank(trend) < trend.shape[1] or not deviations.any():
+    if np.linalg.matrix_rank(trend[spread]) < trend.shape[1] or not deviations[spread].any():
         return None
-    smooth_part = trend @ np.linalg.lstsq(trend, deviations)[0]
-    noises = NOISE_BY_TREND * np.sqrt(((deviations - smooth_part)**2).mean())
+    smooth_part = trend[spread] @ np.linalg.lstsq(trend[spread], deviations[spread])[0]
+    noises = NOISE_BY_TREND * np.sqrt(((deviations[spread] - smooth_part)**2).mean())
     prior = NoisePrior.of(pixel, points.sigma, with_heights=False)
-    relative_variances = np.diag(prior.relative_variances(n))
     log_prior = prior.log_probability(noises)
-    system = System(positions, relative_variances, trend, deviations, noises)
+    control = System(positions, prior.relative_variances(len(points)), trend, deviations, noises)
+    system = control.take(spread)
     logs = []
     grids = []
     for probability, lengths, smoothness, ratios in _priors():
@@ -118,10 +208,20 @@ def local_courses(points: Points, pixel: float) -> LocalCourses | None:
     shares = np.exp(np.array(logs) - np.logaddexp.reduce(logs, axis=None))           # (c, s)
     if not np.isfinite(shares).all():
         return None
-    courses = tuple(system.course(lengths, smoothness, ratios, share * by_ratio)
-                    for share, (lengths, smoothness, ratios, by_ratio)
-                    in zip(shares, grids, strict=True) if share.sum() > NEGLIGIBLE_SHARE)
-    return LocalCourses(to_image, positions, courses, float(shares.sum(axis=0) @ noises**2))
+    solutions = tuple(Solutions(lengths, smoothness, ratios, share * by_ratio)
+                      for share, (lengths, smoothness, ratios, by_ratio)
+                      in zip(shares, grids, strict=True) if share.sum() > NEGLIGIBLE_SHARE)
+    return LocalCourses(to_image, control, solutions, float(shares.sum(axis=0) @ noises**2))
+
+
+def _halved(positions: FloatArray, rows: IntArray) -> list[IntArray]:
+    """Return rows cut in halves, across their longer side, until each part has few."""
+    if len(rows) <= CELL_POINTS:
+        return [rows]
+    axis = int(np.argmax(np.ptp(positions[rows], axis=0)))
+    order = rows[np.argsort(positions[rows, axis], kind="stable")]
+    middle = len(order) // 2
+    return _halved(positions, order[:middle]) + _halved(positions, order[middle:])
 
 
 def _priors() -> Iterator[tuple[float, tuple[float, float], float, tuple[float, ...]]]:

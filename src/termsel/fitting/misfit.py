@@ -168,22 +168,42 @@ class Course:
                 + distances**2 @ self.weights[axis]
         return squares
 
+    def covariance(self, places: FloatArray, columns: FloatArray, axis: int,
+                   deviations: FloatArray | float) -> FloatArray:
+        """Return the mean products of which `squares` are the diagonal, (m, m), on one axis.
+
+        Deviations are (m,).
+        """
+        means = columns @ self.means[:, :, axis].T                                      # (m, r)
+        distances = means - np.broadcast_to(deviations, len(columns))[:, None]
+        return np.asarray(
+            self.variance[axis] * matern(places, places, self.lengths, self.smoothness)
+            - columns @ self.explained[axis] @ columns.T
+            + (distances * self.weights[axis]) @ distances.T)
+
 
 @dataclass(frozen=True, eq=False)
 class System:
     """What all covariances are tried on."""
 
     positions: FloatArray  # (n, 2): of the control, in the image
-    relative_variances: FloatArray  # (n, n): diagonal, of measurements by that of a usual one
+    relative_variances: FloatArray  # (n,): of measurements by that of a usual one
     trend: FloatArray  # (n, f)
     residuals: FloatArray  # (n, 2)
     noises: FloatArray  # (s,)
+
+    def take(self, rows: IntArray) -> System:
+        """Return that of some of the control."""
+        return replace(self, positions=self.positions[rows],
+                       relative_variances=self.relative_variances[rows], trend=self.trend[rows],
+                       residuals=self.residuals[rows])
 
     def log_likelihoods(self, lengths: tuple[float, float], smoothness: float,
                         ratios: tuple[float, ...]) -> FloatArray:
         """Return logarithms of p(r, ratio | length, s) for each axis, (2, r, s)."""
         correlation = matern(self.positions, self.positions, lengths, smoothness)
-        by_ratio = [restricted_likelihood(self.relative_variances + ratio**2 * correlation,
+        variances = np.diag(self.relative_variances)
+        by_ratio = [restricted_likelihood(variances + ratio**2 * correlation,
                                           self.trend, self.residuals, self.noises)
                     for ratio in ratios]
         return np.asarray(np.stack(by_ratio, axis=1) - np.log(len(ratios)))
@@ -196,9 +216,10 @@ class System:
         n, f = self.trend.shape
         explained = np.zeros((2, n + f, n + f))
         means = np.empty((len(ratios), n + f, 2))
+        variances = np.diag(self.relative_variances)
         for i, ratio in enumerate(ratios):
             scale = np.concatenate([np.full(n, ratio**2), np.ones(f)])
-            system = np.block([[self.relative_variances + ratio**2 * correlation, self.trend],
+            system = np.block([[variances + ratio**2 * correlation, self.trend],
                                [self.trend.T, np.zeros((f, f))]])
             inverse = scale[:, None] * np.linalg.inv(system)
             means[i] = inverse[:, :n] @ self.residuals
@@ -213,7 +234,7 @@ class System:
         """
         f = self.trend.shape[1]
         noise = (shares @ self.noises**2).sum(axis=1)                               # (2,)
-        weighted = self.trend / np.diag(self.relative_variances)[:, None]
+        weighted = self.trend / self.relative_variances[:, None]
         explained = course.explained.copy()
         explained[:, -f:, -f:] += noise[:, None, None] * np.linalg.inv(self.trend.T @ weighted)
         return replace(course, explained=explained)
@@ -240,14 +261,12 @@ class Misfit:
         return total
 
     def covariance(self, image: FloatArray, axis: int) -> FloatArray:
-        """Return the covariance of what the model misses among places in the image, (m, m)."""
+        """Return the mean products of what the model misses among places in the image, (m, m)."""
         total = np.zeros((len(image), len(image)))
         trend = self._trend(image)
         for course in self.courses:
             columns = course.columns(image, self.positions, trend)
-            total += course.variance[axis] * matern(image, image, course.lengths,
-                                                    course.smoothness) \
-                - columns @ course.explained[axis] @ columns.T
+            total += course.covariance(image, columns, axis, 0.0)
         return total
 
     def _trend(self, image: FloatArray) -> FloatArray:
@@ -279,10 +298,10 @@ def misfit_of(image: FloatArray, residuals: FloatArray, noise: NoisePrior,
     residuals = residuals * np.sqrt(2 * freedom / (2 * n - effective))
     noises = NOISE_BY_RESIDUALS * np.sqrt((residuals**2).mean())
     log_prior = noise.log_probability(noises)
-    variances = np.diag(noise.relative_variances(n))
-    system = System(image, variances, trend, residuals, noises)
-    logs = [np.log(1.0 - MISFIT_PROBABILITY) + log_prior
-            + restricted_likelihood(variances, trend, residuals, noises).sum(axis=0)]
+    relative_variances = noise.relative_variances(n)
+    system = System(image, relative_variances, trend, residuals, noises)
+    of_noise = restricted_likelihood(np.diag(relative_variances), trend, residuals, noises)
+    logs = [np.log(1.0 - MISFIT_PROBABILITY) + log_prior + of_noise.sum(axis=0)]
     by_ratios = []
     for lengths in MISFIT_LENGTHS:
         by_ratio = system.log_likelihoods(lengths, MISFIT_SMOOTHNESS, MISFIT_RATIOS)

@@ -14,12 +14,13 @@ themselves are not known before, so that what they will say of the model's form 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from termsel.core.errors import TermselError
-from termsel.data.features import FloatArray, IntArray
+from termsel.data.features import BoolArray, FloatArray, IntArray
 from termsel.fitting.fit import Fit
 from termsel.fitting.uncertainty import Spread, believed_spread
 
@@ -36,8 +37,9 @@ class Ranking:
     """Places in the order in which they should be measured.
 
     `order` has numbers of candidates, `sigma` the root mean square uncertainty of a position over
-    the scene after each of them [px], `sigma_before` the same before. Of a spline or a field they
-    are those of the shrunken cubic polynomial of its control, not the mean of `Fit.sigma`.
+    the scene after each of them [px], `sigma_before` the same before: the root mean square of
+    `Fit.sigma`, but for the noise of heights. Errors of a spline or a field with heights, or of few
+    points, are as alike as those of the shrunken cubic polynomial of its control.
     """
 
     order: IntArray
@@ -46,14 +48,12 @@ class Ranking:
 
 
 def rank_places(fitted: Fit, candidates: FloatArray, scene: FloatArray, count: int,
-                min_distance: float = MIN_DISTANCE, *, misfit: bool = False) -> Ranking:
+                min_distance: float = MIN_DISTANCE) -> Ranking:
     """Return the best places to measure next, at most `count` of the candidates.
 
-    Candidates (c, 3) and the scene where the model is to be good (m, 3) are on the ground. A spline
-    or a field is taken for the shrunken cubic polynomial of its control. Two places are
-    `min_distance` apart in the image, as a share of its longer side; where no candidate is as far
-    from all places before it, any may follow. With `misfit` the uncertainty holds what the model
-    does not fit, too, as that of `Fit.sigma` does of all models but splines and fields.
+    Candidates (c, 3) and the scene where the model is to be good (m, 3) are on the ground. Two
+    places are `min_distance` apart in the image, as a share of its longer side; where no candidate
+    is as far from all places before it, any may follow.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def rank_places(fitted: Fit, candidates: FloatArray, scene: FloatArray, count: i
     original = fitted.original or fitted
     # Where the candidates are the scene, its places count once: work grows with their square.
     everywhere = scene if candidates is scene else np.concatenate([candidates, scene])
-    spread = covariances(original, everywhere, misfit=misfit)
+    spread = covariances(original, everywhere)
     if spread is None or spread.factors is None:
         raise TermselError("the uncertainty of this model is not known",
                            hint="Plan with 4 or more control points alone; with lines, by a model "
@@ -99,38 +99,59 @@ def rank_places(fitted: Fit, candidates: FloatArray, scene: FloatArray, count: i
                    float(np.sqrt(np.trace(scene_products))) * scale)
 
 
-def covariances(original: Fit, ground: FloatArray, *, misfit: bool) -> Spread | None:
+def covariances(original: Fit, ground: FloatArray) -> Spread | None:
     """Return the mean square errors of a fit at places (m, 3), with factors; None if not known.
 
-    With `misfit` they hold what the model does not fit.
+    They are those of `Fit.sigma`, without the noise of heights.
     """
     scaled_ground = original.scaling.ground(ground)
+    image = original.scaling.image(original.project(ground))
+    visible = np.isfinite(image).all(axis=1)
+    courses = original.local_courses
+    if courses is not None:
+        spans = [_span(courses.covariance(scaled_ground[visible], image[visible], axis), visible,
+                       axis) for axis in (0, 1)]
+        return _spread_of_spans(spans, np.full(2, courses.noise))
     spread: Spread | None = original.estimator.spread(original, scaled_ground)
     if spread is not None and spread.factors is None:  # a local model, which tells no covariances
-        spread = believed_spread(original.model, original.scaled_control.take(original.used),
-                                 scaled_ground, np.zeros((len(scaled_ground), 2)))
+        spread = _with_correlations_of_polynomial(spread, original, scaled_ground, image)
     if spread is None or spread.factors is None or not np.isfinite(spread.factors).all():
         return None
-    if misfit and original.misfit is not None:
-        return _with_misfit(spread, original, ground)
-    return spread
-
-
-def _with_misfit(spread: Spread, original: Fit, ground: FloatArray) -> Spread:
-    """Return a spread whose factors span what the model does not fit, too (see `Misfit`)."""
-    assert original.misfit is not None
-    assert spread.factors is not None
-    image = original.scaling.image(original.project(ground))
     spans = [spread.factors]
-    visible = np.isfinite(image).all(axis=1)
-    for axis in (0, 1):
-        values, vectors = np.linalg.eigh(original.misfit.covariance(image[visible], axis))
-        strong = values > MIN_VARIANCE_SHARE * max(float(values[-1]), np.finfo(float).tiny)
-        span = np.zeros((len(ground), 2, int(strong.sum())))
-        span[visible, axis] = vectors[:, strong] * np.sqrt(values[strong])
-        spans.append(span)
+    if spread.offsets is not None:
+        # That the fit is off, or not, is one doubt on each axis: E[e e'] = C + d d'.
+        spans.append(spread.offsets[:, :, None] * np.eye(2))
+    if original.misfit is not None:
+        spans += [_span(original.misfit.covariance(image[visible], axis), visible, axis)
+                  for axis in (0, 1)]
+    return _spread_of_spans(spans, spread.noise)
+
+
+def _with_correlations_of_polynomial(spread: Spread, original: Fit, scaled_ground: FloatArray,
+                                     image: FloatArray) -> Spread | None:
+    """Return a spread with errors as alike as those of the shrunken cubic polynomial are."""
+    believed = believed_spread(original.model, original.scaled_control.take(original.used),
+                               scaled_ground, image)
+    if believed is None or believed.factors is None:
+        return None
+    squares = np.maximum((believed.factors**2).sum(axis=2), np.finfo(float).tiny)
+    factors = believed.factors * np.sqrt(spread.variance / squares)[:, :, None]
+    return Spread(spread.variance, spread.noise, factors)
+
+
+def _spread_of_spans(spans: Sequence[FloatArray], noise: FloatArray) -> Spread:
+    """Return the mean square errors of factors that add up, each (m, 2, d)."""
     factors = np.concatenate(spans, axis=2)
-    return Spread(spread.variance + original.missed_at(ground), spread.noise, factors)
+    return Spread((factors**2).sum(axis=2), noise, factors)
+
+
+def _span(covariance: FloatArray, visible: BoolArray, axis: int) -> FloatArray:
+    """Return factors (m, 2, d) of a covariance of one axis among the places that are visible."""
+    values, vectors = np.linalg.eigh(covariance)
+    strong = values > MIN_VARIANCE_SHARE * max(float(values[-1]), np.finfo(float).tiny)
+    span = np.zeros((len(visible), 2, int(strong.sum())))
+    span[visible, axis] = vectors[:, strong] * np.sqrt(values[strong])
+    return span
 
 
 def share_left(fitted: Fit, ground: FloatArray) -> float:
@@ -141,7 +162,7 @@ def share_left(fitted: Fit, ground: FloatArray) -> float:
     1 / (C^-1)_ii, and C_ii without them. The measurements themselves are not looked at. 1 where the
     covariances are not known.
     """
-    spread = covariances(fitted.original or fitted, ground, misfit=True)
+    spread = covariances(fitted.original or fitted, ground)
     if spread is None or spread.factors is None or not (spread.noise > 0).all():
         return 1.0
     variance_alone = np.zeros(2)

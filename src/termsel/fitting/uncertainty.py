@@ -53,6 +53,8 @@ class Spread:
     factors : ndarray, shape (m, 2, d), or None
         Their products, where known, are the covariances of what is not known, at all places and of
         both axes: a measurement lessens it elsewhere too.
+    offsets : ndarray, shape (m, 2), or None
+        Prediction minus the mean of what is believed, where factors leave out its square.
 
     Examples
     --------
@@ -66,6 +68,7 @@ class Spread:
     variance: FloatArray
     noise: FloatArray
     factors: FloatArray | None = None
+    offsets: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -226,8 +229,10 @@ def _mixed(chance: float, first: Spread, second: Spread) -> Spread:
     if first.factors is not None and second.factors is not None:
         factors = np.concatenate([chance**0.5 * first.factors,
                                   (1.0 - chance)**0.5 * second.factors], axis=2)
+    # Of the two, the noise that is propagated has no offset.
+    offsets = None if second.offsets is None else (1.0 - chance)**0.5 * second.offsets
     return Spread(chance * first.variance + (1.0 - chance) * second.variance,
-                  chance * first.noise + (1.0 - chance) * second.noise, factors)
+                  chance * first.noise + (1.0 - chance) * second.noise, factors, offsets)
 
 
 def sees_heights(project: Callable[[FloatArray], FloatArray], ground: FloatArray) -> bool:
@@ -301,8 +306,9 @@ class _Belief:
         columns = _columns(ground, self.degree, self.variables)
         predicted = predict_positions(self.posterior, columns[:, :self.variables + 1],
                                       columns[:, self.variables + 1:])
-        return Spread(predicted.variance + (image - predicted.image) ** 2,
-                      np.full(2, predicted.noise), predicted.factors)
+        offsets = image - predicted.image
+        return Spread(predicted.variance + offsets**2, np.full(2, predicted.noise),
+                      predicted.factors, offsets)
 
     def contest(self, weights: FloatArray) -> float:
         """Return the variance, over the solutions, of the logarithm of their mean square error."""

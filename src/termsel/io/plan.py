@@ -84,7 +84,7 @@ def plan(result: Result, count: int, candidates: Path | None = None) -> Plan:
     numbers = np.flatnonzero(is_seen)
     # The scene itself where all of it is seen, so that its figures are computed once.
     choices = scene if positions is scene and is_seen.all() else positions[numbers]
-    ranking = rank_places(fitted, choices, scene, count, misfit=True)
+    ranking = rank_places(fitted, choices, scene, count)
     # What all places have in common no further point lessens.
     shared = float(np.linalg.norm(result.shared_sigma or 0.0))
     best_positions = positions[numbers[ranking.order]]
