@@ -124,7 +124,7 @@ class LocalCourses:
         """The middles of all cells, (c, 2)."""
         positions = self.control.positions
         if len(positions) <= MISFIT_MAX_POINTS:
-            return positions.mean(axis=0, keepdims=True)
+            return np.asarray(positions.mean(axis=0, keepdims=True))
         return np.array([positions[rows].mean(axis=0)
                          for rows in _halved(positions, np.arange(len(positions)))])
 

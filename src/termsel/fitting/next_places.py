@@ -106,7 +106,7 @@ def covariances(original: Fit, ground: FloatArray) -> Spread | None:
     """
     scaled_ground = original.scaling.ground(ground)
     image = original.scaling.image(original.project(ground))
-    visible = np.isfinite(image).all(axis=1)
+    visible = np.asarray(np.isfinite(image).all(axis=1))
     courses = original.local_courses
     if courses is not None:
         spans = [_span(courses.covariance(scaled_ground[visible], image[visible], axis), visible,
