@@ -164,7 +164,7 @@ def rows(*sources: tuple[float, float]) -> str:
     rows((500100, 5000200), (500300, 5000100)), rows((18.4, -34.5), (18.9, -34.1)),
     rows((500100, -3800000), (509900, -3801000)), rows((-70.5, 3.5), (-70, 3.2))])
 def test_coordinates_of_a_layer_need_the_raster(tmp_path: Path, text: str) -> None:
-    with pytest.raises(TermselError, match="Give the image with --raster FILE") as caught:
+    with pytest.raises(TermselError, match="Give the image in which they were measured, with --image FILE") as caught:
         termsel.read(put(tmp_path, text), crs="local")
     assert (caught.value.line, caught.value.column) == (2, "sourceX")
 
@@ -196,10 +196,32 @@ def test_raster_without_georeference_leaves_pixels(tmp_path: Path) -> None:
             rasterio.open(image, "w", driver="GTiff", width=18, height=15, count=1, dtype="uint8"):
         pass
     path = put(tmp_path, rows((3.5, -2.5), (12, -9)))
-    with pytest.raises(TermselError, match="these look like map coordinates of a raster that was"):
+    with pytest.raises(TermselError, match="they may be map coordinates of a raster that was"):
         termsel.read(path, crs="local")
-    np.testing.assert_allclose(termsel.read(path, crs="local", raster=image).points.image,
-                               [[2, 3], [8.5, 11.5]])
+    for how in ("raster", "image"):
+        features = termsel.read(path, crs="local", **{how: image})
+        np.testing.assert_allclose(features.points.image, [[2, 3], [8.5, 11.5]])
+
+
+def test_rows_that_other_programs_count_downwards(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture,
+) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    image = tmp_path / "image.tif"
+    with pytest.warns(rasterio.errors.NotGeoreferencedWarning), \
+            rasterio.open(image, "w", driver="GTiff", width=900, height=700, count=1,
+                          dtype="uint8"):
+        pass
+    path = put(tmp_path, rows((30.5, 20.5), (800, 90), (100, 650)))
+    expected = [[20, 30], [89.5, 799.5], [649.5, 99.5]]
+    with pytest.raises(TermselError, match="add --set downwards=true"):
+        termsel.read(path, crs="local")
+    asked = termsel.read(path, crs="local", downwards=True)
+    np.testing.assert_allclose(asked.points.image, expected)
+    assert not caplog.messages
+    seen = termsel.read(path, crs="local", image=image)
+    np.testing.assert_allclose(seen.points.image, expected)
+    assert "is read as counted downwards from the top of the image" in caplog.text
 
 
 # Rasters

@@ -187,8 +187,8 @@ def read(
         if image_lines is not None:
             of_readers["image_lines"] = str(once[Path(image_lines)])
         readers = readers_of([path for path in paths if path is not None], formats)
-        if image is not None and paths[0] is not None and "image_name" not in of_readers:
-            of_readers |= _options_of_part(paths[0], Path(image).name, readers, formats, of_readers)
+        if image is not None and paths[0] is not None:
+            of_readers |= _options_of_image(paths[0], Path(image), readers, formats, of_readers)
         features = read_features(*paths[:2], areas=paths[2], crs=crs, readers=readers,
                                  formats=formats, options=of_readers, origin=origin)
         features = _of_image(features, image, size)
@@ -200,14 +200,21 @@ def read(
         raise (located(error, Path(files[0])) if error.file is None else error) from error
 
 
-def _options_of_part(path: Path, image: str, readers: Sequence[type[Reader]],
-                     formats: Sequence[str], options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the options with which a file of the points of several images is read of one."""
+def _options_of_image(path: Path, image: Path, readers: Sequence[type[Reader]],
+                      formats: Sequence[str], options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the options with which a file of points is read as that of an image."""
     reader = find_reader(path, readers, next(iter(formats), None), options)
-    named = {name.casefold(): part for name, part in reader.parts(path).items()}
-    # Metashape calls the camera of DJI_1.JPG DJI_1.
-    name = image.casefold()
-    return named.get(name) or named.get(name.rpartition(".")[0]) or {}
+    if "image_name" not in options:
+        named = {name.casefold(): part for name, part in reader.parts(path).items()}
+        # Metashape calls the camera of DJI_1.JPG DJI_1.
+        name = image.name.casefold()
+        of_part = named.get(name) or named.get(name.rpartition(".")[0]) or {}
+    else:
+        of_part = {}
+    takes_raster = any(option.name == "raster" for option in reader.declared_options)
+    if takes_raster and "raster" not in options:
+        return of_part | {"raster": str(image)}
+    return of_part
 
 
 def read_options() -> tuple[Option, ...]:

@@ -7,6 +7,7 @@ the columns were called pixelX and pixelY, and before that there were four of th
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +16,11 @@ from termsel.core.errors import TermselError
 from termsel.core.options import Option
 from termsel.data.features import FeatureSet, FloatArray
 from termsel.data.rasters import open_raster, positions
+from termsel.formats.image_origin import EDGE_MARGIN
 from termsel.formats.readers.table import Table
 from termsel.formats.readers.tables import TableReader
+
+log = logging.getLogger(__name__)
 
 _COLUMNS = {
     "x": ("mapx",), "y": ("mapy",),
@@ -32,7 +36,8 @@ class QgisPoints(TableReader):
 
     Pixels are counted from the corner of the first one, down as negative numbers. If the
     raster was already georeferenced, points hold its coordinates instead; that raster is then
-    required. There are no heights; points that are not enabled have the role "off".
+    required. Some other programs write positive numbers downwards: these are read with the image,
+    or with ``downwards``. There are no heights; points that are not enabled have the role "off".
     """
 
     name = "qgis-points"
@@ -42,6 +47,8 @@ class QgisPoints(TableReader):
     declared_options = (
         Option("raster", None, "The image in which the points were measured, if it was already "
                                "georeferenced."),
+        Option("downwards", False, "Whether sourceY is positive downwards, as some other programs "
+                                   "write it.", bool),
         Option("disabled", "off", "Role of points that are not enabled.",
                choices=("off", "check", "independent")),
     )
@@ -58,33 +65,67 @@ class QgisPoints(TableReader):
     def _image(self, table: Table) -> tuple[FloatArray, tuple[int, int] | None]:
         """Return line and sample, and the size of the image where it is known."""
         source = table.stack("source_x", "source_y")
-        # Pixel edges are whole numbers and y points up: line = -y - 1/2, sample = x - 1/2.
-        pixels = source[:, ::-1] * [-1.0, 1.0] - 0.5
-        if self.options["raster"] is None:
+        if self.options["downwards"]:
+            pixels = _pixels(source, downwards=True)
+        elif self.options["raster"] is None:
             _refuse_layer(table, source)
-            return pixels, None
+            pixels = _pixels(source)
+        else:
+            return self._in_image(table, source)
+        return pixels, None
+
+    def _in_image(self, table: Table, source: FloatArray) -> tuple[FloatArray, tuple[int, int]]:
+        """Return line and sample in the given image, and its size.
+
+        Of what the columns may hold, map coordinates of the image, pixels upwards or downwards, it
+        is what most points lie in the image by; of equals the one that QGIS writes.
+        """
         with open_raster(Path(self.options["raster"])) as raster:
-            if not raster.transform.is_identity:
-                pixels = positions(raster, *source.T)
-            rows, columns = raster.shape
-        # Within an image of the same size around it: points a little outside occur.
-        near = (np.abs(pixels - [rows / 2, columns / 2]) <= [rows, columns]).all(axis=1)
-        if not near.any():
+            size = raster.shape
+            georeferenced = not raster.transform.is_identity
+            readings = [positions(raster, *source.T)] if georeferenced else []
+        readings += [_pixels(source), _pixels(source, downwards=True)]
+        inside = [_count_inside(pixels, size) for pixels in readings]
+        if not max(inside) and _is_of_layer(source):
             raise TermselError(f"no point lies in the image {self.options['raster']}",
                                file=table.path,
                                hint="Give the image in which these points were measured.")
-        return pixels, (rows, columns)
+        best = inside.index(max(inside))
+        if best == len(readings) - 1:
+            log.warning("Note: %s: sourceY is positive, unlike in files of QGIS, and is read as "
+                        "counted downwards from the top of the image.", table.path.name)
+        return readings[best], size
 
 
-def _refuse_layer(table: Table, source: FloatArray) -> None:
-    """Refuse sources that are not pixels, such as those of a georeferenced raster."""
+def _pixels(source: FloatArray, downwards: bool = False) -> FloatArray:
+    """Return line and sample (n, 2) of sourceX and sourceY that are pixels.
+
+    Pixel edges are whole numbers: sample = x - 1/2, line = -y - 1/2, or y - 1/2 downwards.
+    """
+    return source[:, ::-1] * [1.0 if downwards else -1.0, 1.0] - 0.5
+
+
+def _count_inside(pixels: FloatArray, size: tuple[int, int]) -> int:
+    """Return how many points lie in an image of so many lines and samples, or at its edge."""
+    inside = (pixels >= -0.5 - EDGE_MARGIN) & (pixels <= np.array(size) - 0.5 + EDGE_MARGIN)
+    return int(inside.all(axis=1).sum())
+
+
+def _is_of_layer(source: FloatArray) -> bool:
+    """Return whether sources do not look like pixels, but like places of a georeferenced raster."""
     with np.errstate(over="ignore"):  # Points refuses numbers that are so large
         extent = np.ptp(source, axis=0)
         far = np.abs(source).min(axis=0) > _MAX_EXTENTS * np.maximum(extent, _SMALL)
     # Rows of pixels are negative in these files.
     upwards = (source[:, 1] > 0).mean() > 0.5
-    if (upwards or (len(source) > 1 and (extent < _SMALL).all())
-            or far.all()):
+    return bool(upwards or (len(source) > 1 and (extent < _SMALL).all()) or far.all())
+
+
+def _refuse_layer(table: Table, source: FloatArray) -> None:
+    """Refuse sources that are not pixels, such as those of a georeferenced raster."""
+    if _is_of_layer(source):
         raise table.error(
-            "these look like map coordinates of a raster that was already georeferenced, not like "
-            "pixels", 0, "source_x", "Give the image with --raster FILE.")
+            "these are not pixels as QGIS counts them, negative downwards: they may be map "
+            "coordinates of a raster that was already georeferenced", 0, "source_x",
+            "Give the image in which they were measured, with --image FILE. If they are pixels "
+            "that are positive downwards, add --set downwards=true.")
