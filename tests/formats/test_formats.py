@@ -164,7 +164,7 @@ def rows(*sources: tuple[float, float]) -> str:
     rows((500100, 5000200), (500300, 5000100)), rows((18.4, -34.5), (18.9, -34.1)),
     rows((500100, -3800000), (509900, -3801000)), rows((-70.5, 3.5), (-70, 3.2))])
 def test_coordinates_of_a_layer_need_the_raster(tmp_path: Path, text: str) -> None:
-    with pytest.raises(TermselError, match="Give the image in which they were measured, with --image FILE") as caught:
+    with pytest.raises(TermselError, match="Give the image in which they were measured") as caught:
         termsel.read(put(tmp_path, text), crs="local")
     assert (caught.value.line, caught.value.column) == (2, "sourceX")
 
