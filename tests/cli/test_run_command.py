@@ -189,7 +189,7 @@ BAD_FILES = {
             b"P%d,%d,%d,%f,%f,1\n" % (i, i, i * i, 35 + i / 99, 139.7 + i * i / 99)
             for i in range(20))),
         "line 2, column 'y': feature 'P0' with x = 35, y = 139.7 cannot be longitude and latitude "
-        "in EPSG:4979. The columns look swapped."),
+        "in EPSG:4979. x and y look swapped: --set swapped=xy exchanges them."),
     "row too short": (
         lambda f, t: written(t, b"id,line,sample,x,y,z\nA,1,2,3\n"),
         "line 2: the row has 4 cells, but the header has 6. Every row needs one cell"),

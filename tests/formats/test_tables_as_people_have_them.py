@@ -305,6 +305,7 @@ def test_swapped_longitude_and_latitude_are_noted(tmp_path: Path, caplog: pytest
     assert "Warning: x and y look swapped" in caplog.text
     caplog.clear()
     agree(termsel.read(path, crs="EPSG:4979", columns="x=y,y=x"))
+    agree(termsel.read(path, crs="EPSG:4979", swapped="xy"))
     assert not caplog.text
 
 
@@ -352,9 +353,9 @@ DEGREES = {"--crs": "EPSG:4979"}
 @pytest.mark.parametrize(("content", "options"), [
     (table("id|x|y|z|line|sample"), DEGREES),
     (table("id|x|y|line|sample", order="ixyls"), {"--crs": "EPSG:4326"}),
-    (table("id|x|y|z|line|sample", order="iyxzls"), {**DEGREES, "--columns": "x=y,y=x"}),
+    (table("id|x|y|z|line|sample", order="iyxzls"), {**DEGREES, "--set": "swapped=xy"}),
     (table("id|x|y|z|line|sample", degrees=(plain(8), lambda lat: f"{lat + 70:.8f}")),
-     {**DEGREES, "--columns": "x=y,y=x"}),
+     {**DEGREES, "--set": "swapped=xy"}),
     (table("", delimiter=","), {**DEGREES, "--columns": "id=1,line=5,sample=6,x=2,y=3,z=4"}),
     (table("id|x|y|z|line|sample", order="ienzls"), {}),
     # Metres of an own plane.
@@ -369,7 +370,8 @@ def test_a_file_without_crs_is_answered_with_one_command(content: bytes, options
         termsel.read(path)
     assert caught.value.options == options
     if options:
-        termsel.read(path, crs=options["--crs"], columns=options.get("--columns"))
+        settings = dict([options["--set"].split("=")]) if "--set" in options else {}
+        termsel.read(path, crs=options["--crs"], columns=options.get("--columns"), **settings)
 
 
 @pytest.mark.parametrize("kind", ["sheet", "OpenDocument", "GeoPackage", "FlatGeobuf"])

@@ -135,7 +135,7 @@ def test_what_is_said_of_an_image_is_in_its_result_the_table_and_the_pages(
     assert "sigma_line" not in rows["0.csv"]["notes"]
     found = {path: json.loads(path.read_text()) for path in out.rglob("result.json")}
     swapped = next(one for path, one in found.items() if path.parent.name == "3")
-    assert any("look swapped" in note and "--columns x=y,y=x" in note for note in swapped["notes"])
+    assert any("look swapped" in note and "--set swapped=xy" in note for note in swapped["notes"])
     assert any("Did you mean sigma_line?" in note for note in swapped["notes"])
     for page in ("summary.md", "report.html"):
         text = (out / page).read_text()

@@ -43,6 +43,7 @@ from termsel.formats.readers.advice import (
 )
 from termsel.formats.repeated import REPEATED, averaging
 from termsel.formats.rpc_files import has_rpc, size_with_rpc, with_rpc
+from termsel.formats.swapped import SWAPPED, exchanged_back
 from termsel.formats.z_unit import Z_UNIT, with_z_unit
 from termsel.models.image_part import RPC_OFFSET, RPC_SCALE, ImagePart, part_of
 from termsel.plugins.registry import built_in, registry
@@ -52,7 +53,7 @@ log = logging.getLogger(__name__)
 Origin = Callable[..., FeatureSet]
 """Takes features and whether their format says where it counts from; see `with_image_origin`."""
 
-READ_OPTIONS = (Z_UNIT, RPC_OFFSET, RPC_SCALE, REPEATED, IMAGE_ORIGIN)
+READ_OPTIONS = (Z_UNIT, RPC_OFFSET, RPC_SCALE, REPEATED, IMAGE_ORIGIN, SWAPPED)
 """Options of reading, whatever the format; see `read_options` for those of packages."""
 
 CHOSEN, PROJECTION = "auto", "projection"
@@ -84,6 +85,7 @@ def read(
     repeated: str | None = None,
     image: Path | str | None = None,
     image_origin: str | None = None,
+    swapped: str | None = None,
     **options: Any,
 ) -> FeatureSet:
     """Return the control features in files of points, lines and areas.
@@ -124,6 +126,8 @@ def read(
         Where a table counts lines and samples from: "top-left" for the centre of the upper-left
         pixel, "corner" for its outer corner, "y-up", "y-up-corner", "bottom-left" or
         "bottom-left-corner" for lines upwards.
+    swapped : {"xy", "line-sample"}, optional
+        Coordinates that the file has exchanged; they are exchanged back.
     **options
         Options of the readers, such as `raster` of "qgis-points", and of packages, such as
         `camera_focal` of termsel-photos.
@@ -175,7 +179,8 @@ def read(
                                hint="Read files by themselves and join them with "
                                     "FeatureSet.with_.")
         with averaging(repeated):
-            features = _of_image(_read_frame(points, crs, of_readers, origin), image, size)
+            features = _of_image(_read_frame(points, crs, of_readers, origin, swapped),
+                                 image, size)
             features = _with_rpc_and_heights(features, dem, rpc, z_unit, image_part)
             return _with_packages(features, of_packages, image)
     with ExitStack() as stack:
@@ -190,7 +195,8 @@ def read(
         if image is not None and paths[0] is not None:
             of_readers |= _options_of_image(paths[0], Path(image), readers, formats, of_readers)
         features = read_features(*paths[:2], areas=paths[2], crs=crs, readers=readers,
-                                 formats=formats, options=of_readers, origin=origin)
+                                 formats=formats, options=of_readers, origin=origin,
+                                 swapped=swapped)
         features = _of_image(features, image, size)
     files = [path for path in (points, lines, areas) if path is not None]
     try:
@@ -302,19 +308,19 @@ def _is_recognised(path: Path, readers: Iterable[type[Reader]]) -> bool:
 
 
 def _read_frame(frame: Any, crs: str | None, options: Mapping[str, Any],
-                origin: Origin | None = None) -> FeatureSet:
+                origin: Origin | None = None, swapped: str | None = None) -> FeatureSet:
     """Return the features of a table in Python, such as a DataFrame."""
     from termsel.formats.readers.frames import read_frame
 
     for name in options.keys() - {"columns", "decimal"}:
         raise TermselError(f"a table in Python has no option {name!r}", hint="Leave it out.")
-    features = read_frame(frame, **options)
+    features = exchanged_back(read_frame(frame, **options), swapped)
     if origin is not None:
         features = origin(features, states_own=False)
     table_path = Path("the table")
     measured = replace(features, crs=_agreed_crs(
         {table_path: features}, stated_crs(crs)))
-    _require_crs(measured, [table_path], "columns" not in options)
+    _require_crs(measured, [table_path], "columns" not in options and swapped is None)
     _say_misspelt(table_path, measured)
     check_ground(measured)
     _say_doubts(measured)
@@ -429,12 +435,13 @@ def _with_options(reader: type[Reader], values: Mapping[str, Any]) -> Reader:
 def read_features(points: Path | None, lines: Path | None, *, areas: Path | None = None,
                   crs: str | None, readers: Iterable[type[Reader]], formats: Sequence[str] = (),
                   options: Mapping[str, Any] | None = None, either: bool = False,
-                  origin: Origin | None = None) -> FeatureSet:
+                  origin: Origin | None = None, swapped: str | None = None) -> FeatureSet:
     """Return the points, lines and areas of one file each, in one CRS.
 
     A file that holds points and lines is given as both; with `either`, it may have points or lines
     alone. Areas become points or lines. `formats` names readers, in the order of the files.
-    `origin` turns image coordinates of formats that leave open where they count from.
+    `origin` turns image coordinates of formats that leave open where they count from; `swapped`
+    says which coordinates the files have exchanged.
 
     Raises TermselError as `find_reader`; if the content is invalid; if no file's reader has such an
     option; if a file holds no features of its kind, or others that were not asked for; if the CRS
@@ -442,7 +449,7 @@ def read_features(points: Path | None, lines: Path | None, *, areas: Path | None
     kinds have one id.
     """
     read_with = partial(_features_of_files, points, lines, areas=areas, readers=list(readers),
-                        formats=formats, either=either, origin=origin)
+                        formats=formats, either=either, origin=origin, swapped=swapped)
     try:
         return read_with(crs=crs, options=options or {})
     except TermselError as error:
@@ -498,7 +505,7 @@ def _silence() -> Iterator[None]:
 def _features_of_files(points: Path | None, lines: Path | None, *, areas: Path | None,
                        crs: str | None, readers: Sequence[type[Reader]], formats: Sequence[str],
                        options: Mapping[str, Any], either: bool,
-                       origin: Origin | None) -> FeatureSet:
+                       origin: Origin | None, swapped: str | None) -> FeatureSet:
     """Return the features of all files in one CRS; the arguments are those of `read_features`."""
     if points is None and lines is None and areas is None:
         raise TermselError("no file of features is given",
@@ -514,7 +521,8 @@ def _features_of_files(points: Path | None, lines: Path | None, *, areas: Path |
     reader_of = {path: find_reader(path, readers, name, options)
                  for path, name in zip_longest(paths, formats)}
     _refuse_idle(options, reader_of)
-    sets = {path: reader.read(path) for path, reader in reader_of.items()}
+    sets = {path: exchanged_back(reader.read(path), swapped)
+            for path, reader in reader_of.items()}
     if origin is not None:
         sets = {path: _from_origin(path, features, reader_of[path], origin)
                 for path, features in sets.items()}
@@ -536,8 +544,7 @@ def _features_of_files(points: Path | None, lines: Path | None, *, areas: Path |
         image_origin=next((features.image_origin for features in sets.values()
                            if features.image_origin), ""))
     # Where the columns were declared, swapped axes are no mistake of a guess.
-    _require_crs(measured, sets, not options.get("columns") and all(
-        "columns" in reader.options for reader in reader_of.values()))
+    _require_crs(measured, sets, not options.get("columns") and swapped is None)
     if areas is not None:
         measured = _with_areas(measured, sets[areas], areas)
     try:

@@ -70,8 +70,8 @@ def note_on_turned(features: FeatureSet) -> str:
         exchanging, exchanging_others = _exchanged(doubt)
         location = place_of(features)
         standing = f" As they stand, x and y are near {location}." if location else ""
-        return (f"{doubt}.{standing} Name the columns the other way round, as in --columns "
-                f"{exchanging}; or else --columns {exchanging_others}.")
+        return (f"{doubt}.{standing} --set {exchanging} exchanges them; or else give --set "
+                f"{exchanging_others}.")
     # Computed points, and what names its sensor, say how the image was seen.
     is_declared = lattice_of(features.points) is not None or _SENSOR in features.points.attributes
     if not is_declared and (counted := _counted(features)):
@@ -85,7 +85,7 @@ def note_on_turned(features: FeatureSet) -> str:
 def unknown_crs(features: FeatureSet, may_turn: bool) -> TermselError:
     """Return the error for features without a CRS, with what --crs could say where they tell.
 
-    Where axes look swapped and `may_turn`, it says what --columns could say, too.
+    Where axes look swapped and `may_turn`, it says which option exchanges them, too.
     """
     error = TermselError("the CRS of the ground coordinates is unknown",
                          hint=f"State it with --crs: {EXAMPLES}.")
@@ -101,14 +101,14 @@ def unknown_crs(features: FeatureSet, may_turn: bool) -> TermselError:
     impossible = ("x and y look swapped: no latitude is beyond 90"
                   if np.abs(plane[:, 1]).max() > 90 else "")
     if may_turn and (doubt := impossible or swapped(replace(features, crs=crs))):
-        error.options["--columns"] = _exchanged(doubt)[0]
+        error.options["--set"] = _exchanged(doubt)[0]
         error.hint = f"{error.hint} {doubt[0].upper()}{doubt[1:]}."
     return error
 
 
 def _exchanged(doubt: str) -> tuple[str, ...]:
-    """Return what --columns says to exchange the axes that `swapped` names, then the others."""
-    return ("x=y,y=x", "line=sample,sample=line")[::-1 if doubt[0] == "l" else 1]
+    """Return what --set says to exchange the axes that `swapped` names, then the others."""
+    return ("swapped=xy", "swapped=line-sample")[::-1 if doubt[0] == "l" else 1]
 
 
 def swapped(features: FeatureSet) -> str:

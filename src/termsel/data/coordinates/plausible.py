@@ -100,7 +100,7 @@ def _check_range(xy: FloatArray, features: FeatureSet, low: tuple[float, float],
         return
     first = int(np.argmax(is_outside))
     if not outside(xy[:, ::-1]).any():
-        hint = f"The columns look swapped. {hint}"
+        hint = f"x and y look swapped: --set swapped=xy exchanges them. {hint}"
     elif not outside(xy[is_outside][:, ::-1]).any():
         hint = f"Perhaps x and y are swapped there. {hint}"
     name, column = _vertex(features, first, int(np.argmax(beyond(xy)[first])))
