@@ -1,7 +1,10 @@
 """What pages show of the code: options as they are declared, and the keys of result.json.
 
-A line ``<!-- generated: PART -->`` of a page stands for such a text. `filled` puts it in; Sphinx
-calls it when it reads a page, and the tests call it to compare the page with the code.
+A line ``<!-- generated: PART -->`` of a page stands for such a text, with all below it until
+``<!-- /generated -->``, where the page has that: who reads it in a clone finds there the same text,
+or how to see it. `filled` puts it in; Sphinx calls it when it reads a page, and the tests call it to
+compare the page with the code. ``python docs/generated.py docs/how-to/kinds/*.md`` renews the text
+between such lines.
 """
 
 from __future__ import annotations
@@ -10,6 +13,7 @@ import ast
 import inspect
 import json
 import re
+import sys
 from collections.abc import Iterable, Iterator, Mapping
 from importlib.util import find_spec
 from pathlib import Path
@@ -39,13 +43,20 @@ _ONCE = ("RmseByRole", "SelectionRecord", "AdjustmentFigures", "FitRecord", "Sca
 PAGES = {"datasets": "data"}
 """Pages that are not called as the kind they list."""
 
-_MARK = re.compile(r"^<!-- generated: ([\w. ]+) -->$", re.MULTILINE)
+_MARK = re.compile(r"^<!-- generated: ([\w. ]+) -->$"
+                   r"(?:\n(?:(?!<!-- generated: )[\s\S])*?^<!-- /generated -->$)?", re.MULTILINE)
 _SECTION = re.compile(r"^[A-Z]\w+\n-{3,}$", re.MULTILINE)
 
 
 def filled(page: str) -> str:
     """Return the text of a page with what its marks stand for."""
     return _MARK.sub(lambda mark: part(mark[1]), page)
+
+
+def renewed(page: str) -> str:
+    """Return a page whose marks have what they stand for below them, for readers of the file."""
+    return _MARK.sub(lambda mark: "\n".join([
+        f"<!-- generated: {mark[1]} -->", part(mark[1]), "<!-- /generated -->"]), page)
 
 
 def part(name: str) -> str:
@@ -248,3 +259,8 @@ def _type(one: Mapping[str, Any], whole: Mapping[str, Any]) -> str:
     kind = target.get("type", "any" if "enum" not in target
                       else "boolean" if target["enum"] == [False] else "string")
     return kind if isinstance(kind, str) else " or ".join(kind)
+
+
+if __name__ == "__main__":
+    for path in map(Path, sys.argv[1:]):
+        path.write_text(renewed(path.read_text(encoding="utf-8")), encoding="utf-8")

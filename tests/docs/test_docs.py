@@ -148,6 +148,13 @@ def _anchors(page: Path) -> set[str]:
             for heading in headings} | set(names)
 
 
+@pytest.mark.parametrize("page", sorted((ROOT / "docs/how-to/kinds").glob("*.md")),
+                         ids=lambda path: path.name)
+def test_the_file_of_a_page_has_the_packages_it_shows(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert text == generated.renewed(text), f"run python docs/generated.py {page}"
+
+
 def test_readme_has_one_command_for_the_tests() -> None:
     found = re.search(r"<!-- tests -->\n```console\n\$ (.+)\n```\n<!-- /tests -->",
                       _page("README.md"))

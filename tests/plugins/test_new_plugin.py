@@ -58,7 +58,9 @@ def test_a_new_package_installs_passes_its_tests_and_shows_up(
                    folder, by=Path(sys.executable))
     assert done.returncode == 0, done.stderr
     assert list((tmp_path / "env").rglob(f"termsel_my_{kind}.py"))
-    tests = _python(folder / "tests", "-m", "unittest", "-v", by=python)
+    command = "python -m unittest discover tests "
+    assert command in (folder / "README.md").read_text()
+    tests = _python(folder, *command.split()[1:], "-v", by=python)
     assert tests.returncode == 0, tests.stderr
     assert "Ran 2 tests" in tests.stderr
     if kind == "command":

@@ -18,6 +18,7 @@ import termsel
 from termsel.cli import plot
 from termsel.cli.main import cli
 from termsel.data.record.base import plain
+from termsel.io.example import write_example
 from termsel.results import library
 from termsel.results.charts import maps
 from termsel.results.plots import KINDS
@@ -355,6 +356,23 @@ def test_the_command_repeats_the_run(call: Call, request: pytest.FixtureRequest,
             assert again["rmse"][role] == pytest.approx(figures, rel=1e-9)
     assert again["budget"] == record["budget"]
     assert again["evaluations"] == record["evaluations"]
+
+
+def test_the_command_repeats_a_run_with_an_rpc_and_an_image(
+        monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    write_example(tmp_path / "files")
+    monkeypatch.chdir(tmp_path / "files")
+    features = termsel.read("gcps.csv", rpc="vendor.RPB", image="scene.tif")
+    first = termsel.run(features=features, problem="rpc-gcps", evaluations=50,
+                        blunders="keep", out="r")
+    assert "--rpc result.json" in command(first)
+    monkeypatch.chdir("r")
+    again = termsel.read("points.csv", crs="EPSG:4979", rpc="result.json")
+    assert again.image_size == first.features.image_size == (500, 600)
+    assert again.rpc == first.features.rpc
+    (tmp_path / "files" / "r" / "result.json").write_text('{"schema": 1, "data": {"rpc": {}}}')
+    with pytest.raises(termsel.TermselError, match="the RPC in this result was changed"):
+        termsel.read_rpc("result.json")
 
 
 @pytest.mark.slow

@@ -19,6 +19,7 @@ from termsel.formats.base import is_utf16, located, read_data, read_head, read_t
 from termsel.formats.rpc_forms import (
     Items,
     largest_difference,
+    rpc_of_result,
     rpc_of_tags,
     rpcs_of_tree,
     rpcs_of_xml,
@@ -60,7 +61,7 @@ def read_rpc(path: Path | str) -> Rpc:
     path : path-like
         RPB, _RPC.TXT, DIMAP version 1 to 3, DigitalGlobe or EnMAP XML, JSON of rpcm, YAML of
         Orthority, VRT or PAM (.aux.xml), or an image with an RPC in its tags or in a file next to
-        it, which GDAL reads (extra `gis`). Of a file with several RPCs, FILE#NAME is that of a
+        it, which GDAL reads (extra `gis`); or the result.json of a run that was given an RPC. Of a file with several RPCs, FILE#NAME is that of a
         band or an image; of several bands that in the middle is taken else.
 
     Returns
@@ -88,7 +89,8 @@ def read_rpc(path: Path | str) -> Rpc:
     path, name = _named_part(Path(path))
     head = read_head(path, f"Expected {KNOWN}.")
     try:
-        return replace(_read(path, head, name), source=path.name)
+        rpc = _read(path, head, name)
+        return rpc if rpc.source else replace(rpc, source=path.name)
     except TermselError as error:
         raise (error if error.file is not None else located(error, path)) from error
 
@@ -160,7 +162,10 @@ def _read(path: Path, head: bytes, rpc_name: str) -> Rpc:
     if items.keys() & (RPB_NAMES.keys() | {"LINE_NUM_COEFF_1"}):
         return from_items(items)
     is_json = text.lstrip()[:1] in ("{", "[")
-    nested = rpcs_of_tree(tree_of_json(text) if is_json else tree_of_yaml(text))
+    tree = tree_of_json(text) if is_json else tree_of_yaml(text)
+    if (of_result := rpc_of_result(tree)) is not None:
+        return of_result
+    nested = rpcs_of_tree(tree)
     if not nested:
         raise _in_no_known_form(path, text)
     return _of_several(nested, rpc_name)

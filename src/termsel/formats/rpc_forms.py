@@ -19,9 +19,11 @@ from itertools import product
 from typing import Any
 from xml.etree import ElementTree
 
+import msgspec
 import numpy as np
 
 from termsel.core.errors import TermselError
+from termsel.data.record.record import RpcNumbers
 from termsel.data.rpc import Rpc
 
 Items = dict[str, str]
@@ -70,6 +72,19 @@ def rpc_of_tags(tags: Mapping[str, str]) -> Items:
     """Return the RPC in the tags of a band; nothing where there is none."""
     items = _items(tags)
     return items if items.keys() >= _IS_RPC else {}
+
+
+def rpc_of_result(tree: object) -> Rpc | None:
+    """Return the vendor's RPC that a run was given, from the tree of its result.json."""
+    data = tree.get("data") if isinstance(tree, dict) and "schema" in tree else None
+    numbers = data.get("rpc") if isinstance(data, dict) else None
+    if numbers is None:
+        return None
+    try:
+        return Rpc.from_numbers(msgspec.convert(numbers, RpcNumbers))
+    except msgspec.ValidationError as error:
+        raise TermselError(f"the RPC in this result was changed: {error}",
+                           hint="Give the vendor's file of the RPC.") from error
 
 
 def tree_of_json(text: str) -> object:

@@ -150,8 +150,9 @@ def _files(result: Result) -> dict[str, str]:
     points = result.features.points
     lines = result.features.lines
     crs = result.features.crs
-    return {**({POINTS: points_text(points, crs)} if len(points) else {}),
-            **({LINES: lines_text(lines, crs)} if len(lines) else {}),
+    size = result.features.image_size
+    return {**({POINTS: points_text(points, crs, size)} if len(points) else {}),
+            **({LINES: lines_text(lines, crs, size)} if len(lines) else {}),
             RESIDUALS: residuals_csv(result), SUMMARY: result.summary(verbose=True),
             **result.files, RECORD: result.to_json()}
 

@@ -16,7 +16,8 @@ from termsel.selection.solvers.base import GIVEN
 def command(record: Record) -> str:
     """Return the command that repeats a run in the folder of its result.
 
-    The points and lines there have their roles, so that the files they came from are not needed.
+    The points and lines there have their roles, heights and the size of their image, and the record
+    has the vendor's RPC, so that the files they came from are not needed.
     `not_by_command` tells the runs that no command can repeat.
     """
     return " \\\n    ".join(["termsel run", *_parts(record)])
@@ -45,6 +46,8 @@ def _parts(record: Record) -> Iterator[str]:
     if counts.lines:
         yield "--lines lines.csv"
     yield f"--crs {shlex.quote(record.data.crs)}"
+    if record.data.rpc is not None:
+        yield "--rpc result.json"
     if record.strategy:
         yield "--strategy auto"
     else:

@@ -1,14 +1,16 @@
 """Points and lines as tables of values separated by commas, semicolons or tabs.
 
-Comment lines begin with ``#``; ``# crs: EPSG:4979`` declares the CRS and ``# units: degrees``
-or ``# units: metres`` the units of the ground coordinates. The centre of the upper-left pixel
-is (0, 0), whatever the image columns are called.
+Comment lines begin with ``#``; ``# crs: EPSG:4979`` declares the CRS, ``# image_size: 4000,5000``
+lines and samples of the image, and ``# units: degrees`` or ``# units: metres`` the units of the
+ground coordinates. The centre of the upper-left pixel is (0, 0), whatever the image columns are
+called.
 """
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -55,7 +57,7 @@ class PointsCsv(TableReader):
             image = image_of(table.path or Path(), images, wanted,
                              "image_name=NAME")
             table = table.take([row for row, name in enumerate(images) if name == image])
-        features = points_of(table, table.crs)
+        features = replace(points_of(table, table.crs), image_size=table.image_size)
         _check_pixels(table, features)
         return features
 
@@ -131,7 +133,7 @@ class LinesCsv(TableReader):
         if "off" in roles:
             # Lines have no role to be off by, so that they are left out.
             lines = lines.take([role != "off" for role in roles])
-        return FeatureSet(lines=lines, crs=table.crs)
+        return FeatureSet(lines=lines, crs=table.crs, image_size=table.image_size)
 
 
 def write_points_csv(points: Points, path: Path | str, crs: str = "") -> None:
@@ -165,11 +167,11 @@ def write_points_csv(points: Points, path: Path | str, crs: str = "") -> None:
     write_text(path, points_text(points, crs))
 
 
-def points_text(points: Points, crs: str) -> str:
+def points_text(points: Points, crs: str, image_size: tuple[int, int] | None = None) -> str:
     """Return the text of a table; see `write_points_csv`."""
     header, values = point_columns(points)
     texts = [[name, role] for name, role in zip(points.ids, points.roles, strict=True)]
-    return table_text(crs, ["id", "role", *header], texts, values, points.attributes)
+    return table_text(crs, ["id", "role", *header], texts, values, points.attributes, image_size)
 
 
 def point_columns(points: Points) -> tuple[list[str], FloatArray]:
@@ -213,11 +215,11 @@ def write_lines_csv(lines: Lines, path: Path | str, crs: str = "") -> None:
     write_text(path, lines_text(lines, crs))
 
 
-def lines_text(lines: Lines, crs: str) -> str:
+def lines_text(lines: Lines, crs: str, image_size: tuple[int, int] | None = None) -> str:
     """Return the text of a table; see `write_lines_csv`."""
     header, values = line_columns(lines)
     return table_text(crs, ["id", *header], [[name] for name in lines.ids], values,
-                      lines.attributes)
+                      lines.attributes, image_size)
 
 
 def line_columns(lines: Lines) -> tuple[list[str], FloatArray]:
@@ -231,8 +233,9 @@ def line_columns(lines: Lines) -> tuple[list[str], FloatArray]:
 
 
 def table_text(crs: str, header: list[str], texts: list[list[str]], values: FloatArray,
-               attributes: Attributes | None = None) -> str:
-    """Return the text of a table with the CRS, "" for none, in a comment line.
+               attributes: Attributes | None = None,
+               image_size: tuple[int, int] | None = None) -> str:
+    """Return the text of a table with the CRS, "" for none, and the image's size as comments.
 
     `texts` are the first cells of each row, `values` (rows, columns) those after them, where NaN
     becomes a blank cell; `attributes` are further columns of text.
@@ -248,4 +251,6 @@ def table_text(crs: str, header: list[str], texts: list[list[str]], values: Floa
                               *map(cell_text, further_cells)]))
     # WKT may span lines, a comment may not.
     declared = [f"# crs: {' '.join(crs.split())}"] if crs else []
+    if image_size is not None:
+        declared.append(f"# image_size: {image_size[0]},{image_size[1]}")
     return "\n".join([*declared, ",".join([*header, *map(cell_text, named)]), *rows]) + "\n"

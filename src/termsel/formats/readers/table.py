@@ -32,7 +32,8 @@ class Table:
 
     `names` holds the header's text for each meaning, `lines` the line of the file each row
     begins on or, where `row_name` is another word, its number; `attributes` the cells of the
-    columns without a meaning; `signs` the decimal sign of each column.
+    columns without a meaning; `signs` the decimal sign of each column; `image_size` lines and
+    samples of the image, where the file declares them.
     """
 
     path: Path | None
@@ -43,6 +44,7 @@ class Table:
     attributes: Attributes = field(default_factory=dict)
     row_name: str = "line"
     signs: Mapping[str, str] = field(default_factory=dict)
+    image_size: tuple[int, int] | None = None
 
     def error(self, message: str, row: int, meaning: str, hint: str | None = None) -> TermselError:
         """Return an error with the place of a cell."""

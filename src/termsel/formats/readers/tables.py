@@ -55,6 +55,7 @@ COLUMNS: tuple[Option, ...] = (
 """The options of readers of tables."""
 
 _DECLARATION = re.compile(r"#\s*(crs|units?)\s*[:=](.*)", re.IGNORECASE)
+_IMAGE_SIZE = re.compile(r"#\s*image_size\s*[:=]\s*(\d{1,7})\s*,\s*(\d{1,7})\s*", re.IGNORECASE)
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+")
 _UNITS = re.compile(r"(deg|degrees?|m|met(re|er)s?)", re.IGNORECASE)
 
@@ -203,6 +204,15 @@ def _declared_crs(path: Path | None, comments: Mapping[int, str]) -> str:
     return crs
 
 
+def _declared_size(comments: Mapping[int, str]) -> tuple[int, int] | None:
+    """Return lines and samples of the image, if a comment declares them."""
+    for comment in comments.values():
+        declared = _IMAGE_SIZE.fullmatch(comment.strip())
+        if declared and int(declared[1]) and int(declared[2]):
+            return int(declared[1]), int(declared[2])
+    return None
+
+
 def read_table(path: Path, aliases: Aliases, *, columns: str = "", decimal: str | None = None,
                layer: str | None = None, flat: bool = False) -> Table:
     """Return the table of a file whose header names the columns, as `columns`, too, may say.
@@ -275,7 +285,8 @@ def table_of(path: Path | None, cells: Cells, aliases: Aliases, stated: Mapping[
     columns = {}
     for meaning, i in column_of.items():
         columns[meaning] = [row[i] for row in rows]
-    table = Table(path, crs, column_names, columns, lines, row_name=cells.row_name)
+    table = Table(path, crs, column_names, columns, lines, row_name=cells.row_name,
+                  image_size=_declared_size(cells.comments))
     signs = _signs(table, decimal, points_only=cells.delimiter == ",")
     if "id" in aliases and "id" not in column_of:
         log.info("Note: %s has no column of ids, so its rows are called P1, P2, ... in order.",
