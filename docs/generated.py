@@ -1,10 +1,10 @@
 """What pages show of the code: options as they are declared, and the keys of result.json.
 
 A line ``<!-- generated: PART -->`` of a page stands for such a text, with all below it until
-``<!-- /generated -->``, where the page has that: who reads it in a clone finds there the same text,
-or how to see it. `filled` puts it in; Sphinx calls it when it reads a page, and the tests call it to
-compare the page with the code. ``python docs/generated.py docs/how-to/kinds/*.md`` renews the text
-between such lines.
+``<!-- /generated -->``, where the page has that: who reads it in a clone finds the same text there,
+or how to see it. `filled` puts it in; Sphinx calls it when it reads a page, and the tests call it
+to compare the page with the code. ``python docs/generated.py docs/how-to/kinds/*.md`` renews the
+text between such lines.
 """
 
 from __future__ import annotations

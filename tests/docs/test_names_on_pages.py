@@ -106,7 +106,8 @@ def wrong(words: list[str]) -> Iterator[str]:
         if name == "--set":
             yield from wrong_setting(value)
     thing = words[2] if len(words) > 2 else "NAME"
-    known = {"describe": names(*KINDS) | {"data"}, "list": set(KINDS)}.get(command.name or "", {thing}
+    known = {"describe": names(*KINDS) | {"data"},
+             "list": set(KINDS)}.get(command.name or "", {thing}
                                                                 ) if command else {thing}
     if not thing.isupper() and thing not in known:
         yield f"{words[1]} {thing}"

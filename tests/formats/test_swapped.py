@@ -23,7 +23,8 @@ def text(header: str, *columns: object) -> str:
 
 
 def geojson(x: np.ndarray, y: np.ndarray, line: np.ndarray, sample: np.ndarray) -> str:
-    points = [{"type": "Feature", "id": IDS[i], "properties": {"line": line[i], "sample": sample[i]},
+    points = [{"type": "Feature", "id": IDS[i],
+               "properties": {"line": line[i], "sample": sample[i]},
                "geometry": {"type": "Point", "coordinates": [x[i], y[i]]}} for i in range(12)]
     return json.dumps({"type": "FeatureCollection", "features": points})
 
@@ -60,10 +61,10 @@ def test_every_reader_takes_it(name: str, tmp_path: Path) -> None:
     for file, content in files.items():
         (tmp_path / file).write_bytes(content)
     path = tmp_path / ("a.txt" if "a.txt" in files else min(files))
-    as_it_stands = termsel.read(path, format=name, crs=None if _states_crs(path, name) else "local")
+    crs = None if _states_crs(path, name) else "local"
+    as_it_stands = termsel.read(path, format=name, crs=crs)
     points, lines = as_it_stands.points, as_it_stands.lines
-    exchanged = termsel.read(path, format=name, crs="local" if as_it_stands.crs == "local" else None,
-                             swapped="xy")
+    exchanged = termsel.read(path, format=name, crs=crs, swapped="xy")
     np.testing.assert_array_equal(exchanged.points.ground, points.ground[:, [1, 0, 2]])
     np.testing.assert_array_equal(exchanged.lines.ground, lines.ground[..., [1, 0, 2]])
     np.testing.assert_array_equal(exchanged.points.image, points.image)

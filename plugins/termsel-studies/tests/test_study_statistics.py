@@ -24,7 +24,9 @@ from termsel_studies.significance import (
     compare_methods,
     critical_difference,
     effect_size,
+    effect_size_interval,
     holm,
+    may_be_chance,
     performance_profile,
     signed_rank,
 )
@@ -286,6 +288,24 @@ def test_methods_that_were_not_run_on_an_instance_are_named() -> None:
     assert "All methods ran on 1 of 2 instances" in said
     assert "There are no runs of ga on b." in said
     assert "On a, ga has the lowest median" in said
+    assert "negligible over pso (0.50 [" in said
+    assert "] of 2 runs, may be chance)" in said
+
+
+def test_three_runs_each_claim_nothing_for_certain() -> None:
+    values, of_rival = [1.0, 2.0, 3.0], [4.0, 5.0, 6.0]
+    low, high = effect_size_interval(effect_size(values, of_rival), 3, 3)
+    assert (round(low, 2), high) == (0.5, 1.0)
+    assert may_be_chance(values, of_rival)
+    assert not may_be_chance(range(6), range(10, 16))
+    # An interval of 95 % holds the true size: 0.76 of two normal distributions 1 apart.
+    rng = np.random.default_rng(1)
+    held = 0
+    for _ in range(200):
+        first, second = rng.normal(0, 1, 8), rng.normal(1, 1, 8)
+        low, high = effect_size_interval(effect_size(first, second), 8, 8)
+        held += low <= 0.760 <= high
+    assert held >= 180
 
 
 def test_a_claim_has_the_direction_of_the_ranks_that_were_tested() -> None:

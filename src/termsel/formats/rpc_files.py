@@ -61,8 +61,9 @@ def read_rpc(path: Path | str) -> Rpc:
     path : path-like
         RPB, _RPC.TXT, DIMAP version 1 to 3, DigitalGlobe or EnMAP XML, JSON of rpcm, YAML of
         Orthority, VRT or PAM (.aux.xml), or an image with an RPC in its tags or in a file next to
-        it, which GDAL reads (extra `gis`); or the result.json of a run that was given an RPC. Of a file with several RPCs, FILE#NAME is that of a
-        band or an image; of several bands that in the middle is taken else.
+        it, which GDAL reads (extra `gis`); or the result.json of a run that was given an RPC. Of a
+        file with several RPCs, FILE#NAME is that of a band or an image; of several bands that in
+        the middle is taken else.
 
     Returns
     -------

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from termsel.core.errors import counted
 from termsel.core.files.atomic import atomic_path, write_text
-from termsel.core.isolation.parts import install_hint, missing, package_of_name, parts
+from termsel.core.isolation.parts import lack_of, missing, package_of_name, parts
 from termsel.results.blocks import Block, Document
 from termsel.results.text import first_screen_of
 from termsel.studies.cells.image_table import image_reasons, image_table
@@ -74,15 +74,16 @@ def summary(study: Study) -> str:
     """
     outputs = parts("study")
     package = package_of_name("study")
+    state, remedy = lack_of(package)
     # Images have their table without any package; statistics of searches come with one.
     if study.noun == "image":
-        further = "" if any(output.page for output in outputs) else \
-            f"A page of all images: package {package}. {install_hint(package)}\n"
+        further = "" if any(output.page for output in outputs) else (
+            f"A page of all images comes with the package {package}, which {state}. {remedy}\n")
         return f"{_images(study)}{further}"
     texts = [output.summary(study) for output in outputs if output.summary]
     return "".join(texts) or (
         f"{counted(len(study.records), study.noun)} finished. Statistics and tables come with the "
-        f"package {package}. {install_hint(package)}\n")
+        f"package {package}, which {state}. {remedy}\n")
 
 
 def _images(study: Study) -> str:

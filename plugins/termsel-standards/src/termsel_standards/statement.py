@@ -21,7 +21,9 @@ VERTICAL = 1.96
 MOST_POINTS, AREA_STEP, POINT_STEP = 120, 1000.0, 10
 """ASPRS, table C.1: 10 points more for every 1,000 km2 above the first, 120 at most."""
 SHIFT_CHANCE = 1 / 400
-"""Probability of a mean as far off by chance below which it is called a shift."""
+"""Probability of a mean as far off by chance below which a note says so."""
+SHIFT_POINTS = 10
+"""Check points below which the mean is not tested."""
 MEAN = 0.25
 """ASPRS: largest mean error, as a share of the RMSE of the class."""
 QUADRANT, MIN_DISTANCE = 0.2, 0.1
@@ -385,10 +387,12 @@ def _notes(ground_errors: GroundErrors, total: float, survey: float | None,
     notes += [f"Check points: {fault}." for fault in distribution.faults]
     n = len(ground_errors.ids)
     for component in components:
-        # By Student's distribution: of few points means are far off by chance.
-        bound = stats.t.ppf(1.0 - SHIFT_CHANCE / 2, n - 1) / n**0.5 if n > 1 else np.inf
+        # By Student's distribution: of few points means are far off by chance, and errors that
+        # neighbours share look like a shift.
+        bound = stats.t.ppf(1.0 - SHIFT_CHANCE / 2, n - 1) / n**0.5 if n >= SHIFT_POINTS else np.inf
         if component.deviation and abs(component.mean) > bound * component.deviation:
-            notes.append(f"The mean error {component.name} is not chance: it is a shift.")
+            notes.append(f"The mean error {component.name} is significant (Student's t of {n} "
+                         f"check points, p < {SHIFT_CHANCE}): look for a shift.")
         limit = classes[component.name == "up"]
         if limit is not None and abs(component.mean) > MEAN * limit:
             notes.append(f"The mean error {component.name} is above {MEAN:.0%} of the RMSE of the "

@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from termsel.toolkit import counted
 from termsel.toolkit.studies import MEASURES, Row
 from termsel_studies.groups import Groups
-from termsel_studies.significance import MIN_INSTANCES, SIGNIFICANCE, Comparison, effect_size
+from termsel_studies.significance import (
+    MIN_INSTANCES,
+    SIGNIFICANCE,
+    Comparison,
+    effect_size,
+    effect_size_interval,
+    may_be_chance,
+)
 from termsel_studies.summaries import quantiles
 
 _MOST_NAMED = 6
@@ -64,13 +73,23 @@ def _single(groups: Groups) -> list[str]:
             continue
         # The best is compared with each of the others, run by run.
         best = min(repeated, key=lambda method: quantiles(by_method[method].values, (0.5,)))
-        sizes = {rival: effect_size(by_method[best].values, by_method[rival].values)
-                 for rival in repeated if rival != best}
-        words = [f"{size_in_words(value)} over {rival} (A12 = {value:.2f})"
-                 for rival, value in sizes.items()]
+        words = [_advantage(by_method[best].values, rival, by_method[rival].values)
+                 for rival in repeated if rival != best]
         sentences.append(f"On {name}, {best} has the lowest median of the methods with several "
-                         f"runs; its advantage is {', '.join(words)}.")
+                         f"runs. Its advantage by A12 [95 % interval] is {', '.join(words)}.")
     return sentences
+
+
+def _advantage(values: Sequence[float], rival: str, of_rival: Sequence[float]) -> str:
+    """Return in words by how much a method is better than another, and whether chance explains it.
+    """
+    size = effect_size(values, of_rival)
+    low, high = effect_size_interval(size, len(values), len(of_rival))
+    counts = dict.fromkeys((len(values), len(of_rival)))
+    runs = " and ".join(map(str, counts))
+    doubt = ", may be chance" if may_be_chance(values, of_rival) else ""
+    return (f"{size_in_words(size)} over {rival} ({size:.2f} [{low:.2f}-{high:.2f}] of {runs} runs"
+            f"{doubt})")
 
 
 def _not_run(groups: Groups) -> str:

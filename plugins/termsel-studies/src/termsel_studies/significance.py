@@ -16,6 +16,8 @@ from termsel_studies.summaries import quantiles
 SIGNIFICANCE = 0.05
 """Significance level of all tests."""
 
+_NORMAL_95 = 1.959964
+
 MIN_INSTANCES = 5
 """Instances below which no test over instances is made: Wilcoxon's test of 5 pairs ends at 0.06."""
 
@@ -142,6 +144,35 @@ def effect_size(first: Sequence[float], second: Sequence[float]) -> float:
     a = np.asarray(first)[:, None]
     b = np.asarray(second)[None]
     return float((a < b).mean() + (a == b).mean() / 2)
+
+
+def effect_size_interval(size: float, n_first: int, n_second: int) -> tuple[float, float]:
+    """Return the 95 % confidence interval of an effect size of so many runs.
+
+    By method 5 of Newcombe 2006, Stat. Med. 25(4), which holds for a few runs and for sizes of 0
+    and 1: the sizes that the observed one does not contradict.
+    """
+    mean_runs = (n_first + n_second) / 2 - 1
+
+    def contradicted(true_size: float) -> bool:
+        variance = true_size * (1 - true_size) / (n_first * n_second) * (
+            1 + mean_runs * ((1 - true_size) / (2 - true_size) + true_size / (1 + true_size)))
+        return bool((size - true_size) ** 2 > _NORMAL_95**2 * variance)
+
+    sizes = np.linspace(0, 1, 2001)
+    accepted = sizes[[not contradicted(float(value)) for value in sizes]]
+    # The size itself is within, though the grid may miss it.
+    return float(accepted.min(initial=size)), float(accepted.max(initial=size))
+
+
+def may_be_chance(first: Sequence[float], second: Sequence[float]) -> bool:
+    """Return whether runs of one method may be lower than those of the other by chance alone.
+
+    By the test of Mann and Whitney, two-sided; exact for few runs without ties.
+    """
+    from scipy.stats import mannwhitneyu
+
+    return bool(mannwhitneyu(first, second).pvalue > SIGNIFICANCE)
 
 
 def performance_profile(values: FloatArray, ratios: Sequence[float]) -> FloatArray:

@@ -58,11 +58,17 @@ def part(slot: str, purpose: str) -> Any:
 def missing(slot: str, purpose: str) -> TermselError:
     """Return the error that says which package a slot lacks; `purpose` has its verb."""
     package = package_of_name(slot)
+    state, remedy = lack_of(package)
+    return TermselError(f"{purpose} the package {package}, which {state}", hint=remedy)
+
+
+def lack_of(package: str) -> tuple[str, str]:
+    """Return why a package of termsel's own gives nothing, after "which", and the remedy."""
     if is_left_out(package):
-        return TermselError(f"{purpose} the package {package}, which {LEFT_OUT}",
-                            hint="Unset that variable, or name the package in it.")
-    return TermselError(f"{purpose} the package {package}, which is not installed",
-                        hint=install_hint(package))
+        return LEFT_OUT, "Unset that variable, or name the package in it."
+    if _is_installed(package):
+        return "is installed, but cannot be loaded", "termsel plugins says why."
+    return "is not installed", install_hint(package)
 
 
 PLUGINS_VARIABLE = "TERMSEL_PLUGINS"
