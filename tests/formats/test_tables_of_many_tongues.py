@@ -129,9 +129,10 @@ def test_a_header_in_a_comment_is_a_header(separator: str, tmp_path: Path) -> No
     assert features.points.ids == tuple(COLUMNS["id"])
 
 
-def test_points_of_several_images_are_not_one_image(tmp_path: Path) -> None:
+@pytest.mark.parametrize("header", ["Photo", "map_id", "Scan No", "SceneID"])
+def test_points_of_several_images_are_not_one_image(header: str, tmp_path: Path) -> None:
     path = tmp_path / "points.csv"
-    path.write_text("Label,Photo,line,sample,x,y,z\n" + "".join(
+    path.write_text(f"Label,{header},line,sample,x,y,z\n" + "".join(
         f"G{i // 2},{'ab'[i % 2]}.jpg,{LINE[i]},{SAMPLE[i]},{COLUMNS['x'][i]},{COLUMNS['y'][i]},9\n"
         for i in range(N)))
     with pytest.raises(TermselError, match=r"points of the images a\.jpg, b\.jpg"):

@@ -33,6 +33,9 @@ def row(**figures: Any) -> dict[str, Any]:
     ({"predicted": None, "independent": None}, None, DOUBTFUL, "cannot be estimated"),
     ({"blunders": ["a", "b", "c", "d"], "excluded": 4}, None, DOUBTFUL, "4 blunders among 16"),
     ({"doubt": "Its axes look swapped."}, None, UNFIT, "swapped"),
+    # Maps of an archive may be of any place.
+    ({"doubt": "Near 40.8 N, 119.2 W, while 9 other images of the batch are near 51.9 N, 2.2 E: "
+               "are coordinates and CRS right?"}, None, DOUBTFUL, "40.8 N"),
     ({"state": "failed", "reason": "too few points"}, None, UNFIT, "too few points"),
     ({}, None, FIT, "nothing contradicts its figures; not verified"),
     ({"n_independent": 4}, None, FIT, "nothing contradicts its figures; 4 independent check"),

@@ -31,9 +31,12 @@ from termsel.formats.readers.tables import COLUMNS, TableReader
 log = logging.getLogger(__name__)
 
 _IMAGES = frozenset({
-    "image", "imagename", "imagefile", "imageid", "img", "imgname", "photo", "photoname",
-    "photofile", "photoid", "picture", "filename", "bild", "bildname", "bilddatei", "foto",
-    "imagen", "imagem", "immagine", "cliche", "zdjecie"})
+    "image", "imagename", "imagefile", "imageid", "imageno", "imagenumber", "img", "imgname",
+    "photo", "photoname", "photofile", "photoid", "photono", "photonumber", "picture", "filename",
+    "mapid", "mapname", "scan", "scanid", "scanno", "scanname", "scanfile", "raster", "rasterid",
+    "rastername", "rasterfile", "scene", "sceneid", "scenename", "sheetid", "canvas", "canvasid",
+    "bild", "bildname", "bilddatei", "kartenid", "foto", "imagen", "imagem", "immagine", "cliche",
+    "zdjecie"})
 """Names of the column that says which image a point was measured in, without signs."""
 
 

@@ -2,8 +2,8 @@
 
 Where an accuracy is asked for, the interval of the RMSE decides: an image is fit for use where all
 of the interval meets it, unfit where none does, and doubtful between. Where none is asked for, an
-image is unfit only where it has no result or lies elsewhere, and doubtful where something
-contradicts its figures, or where they are known only to a factor of `WIDE`.
+image is unfit only where it has no result or where its axes or signs look wrong, and doubtful where
+something contradicts its figures, or where they are known only to a factor of `WIDE`.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import numpy as np
 from termsel.core.display.numbers import rounded
 from termsel.core.errors import TermselError, counted
 from termsel.data.record.figures import MANY_INDEPENDENT, rmse_interval
+from termsel.studies.cells.neighbours import ELSEWHERE
 
 FIT, DOUBTFUL, UNFIT = VERDICTS = "fit for use", "doubtful", "unfit"
 
@@ -87,9 +88,11 @@ def _verdict(row: Mapping[str, Any], accept: Accept | None, usual: float) -> tup
         return "", ""
     if row["state"] != "done":
         return UNFIT, str(row["reason"] or "no result")
-    # A mirror image may be one on purpose; a wrong place is none.
-    if row["doubt"] and "mirror" not in str(row["doubt"]):
-        return UNFIT, str(row["doubt"])
+    doubt = str(row["doubt"] or "")
+    # A mirror image may be one on purpose, and an image far from the others of somewhere else;
+    # exchanged axes and signs are wrong.
+    if doubt and "mirror" not in doubt and ELSEWHERE not in doubt:
+        return UNFIT, doubt
     against = _contradictions(row, usual)
     if accept is None:
         if _interval(row, "px") is None:
