@@ -314,7 +314,7 @@ def _box(arguments: dict[str, Any]) -> tuple[float, float, float, float]:
 
 
 CALLS: dict[str, Callable[[Session, Pages, dict[str, Any]], dict[str, Any] | None]] = {
-    "put": lambda session, _, arguments: {"id": session.put(arguments)},
+    "put": lambda session, _, arguments: {"id": session.put(arguments), "version": session.version},
     "delete": lambda session, _, arguments: session.delete(_names(arguments)),
     "undo": lambda session, _, __: session.undo(),
     "redo": lambda session, _, __: session.redo(),

@@ -27,6 +27,8 @@ const state = {
   undo: 0,
   redo: 0,
 };
+/** What waits for a version of the control to arrive. @type {{version: number, go: () => void}[]} */
+let awaited = [];
 /** @type {{image: Pane, map: Pane}} */
 const panes = /** @type {any} */ ({});
 /** @type {any} */
@@ -85,6 +87,8 @@ function take(message) {
   if (message.kind === "control") {
     if (message.version < state.version) return;
     Object.assign(state, { version: message.version, asked: message.asked, records: message.records, undo: message.undo, redo: message.redo });
+    for (const { version, go } of awaited) if (version <= state.version) go();
+    awaited = awaited.filter(({ version }) => version > state.version);
     if (state.chosen && !recordOf(state.chosen)) state.chosen = null;
   } else {
     if (["figures", "waiting", "refused"].includes(message.stage)) {
@@ -98,6 +102,11 @@ function take(message) {
     }
   }
   if (panes.image) draw();
+}
+
+/** Wait until the page has a version of the control: it comes on another way than answers do. @param {number} version */
+function arrival(version) {
+  return version <= state.version ? Promise.resolve() : new Promise(go => awaited.push({ version, go: () => go(null) }));
 }
 
 /** @param {any} setting */
@@ -247,8 +256,16 @@ function waitsFor(side) {
   return record.kind === "point" ? !record[side] : (record[side]?.length ?? 0) < 2;
 }
 
-/** Measure where the user has clicked. @param {"image" | "map"} side @param {Place} coordinate */
-async function clicked(side, coordinate) {
+/** The clicks before, which decide what the next one means. */
+let clicks = Promise.resolve();
+
+/** Measure where the user has clicked, after the clicks before. @param {"image" | "map"} side @param {Place} coordinate */
+function clicked(side, coordinate) {
+  clicks = clicks.then(() => measure(side, coordinate));
+}
+
+/** @param {"image" | "map"} side @param {Place} coordinate */
+async function measure(side, coordinate) {
   const record = recordOf(state.chosen);
   const other = side === "image" ? "map" : "image";
   let given;
@@ -262,6 +279,7 @@ async function clicked(side, coordinate) {
   }
   const answer = await attempt(() => call("put", given));
   if (!answer) return;
+  await arrival(answer.version);
   state.chosen = answer.id;
   draw();
   if (waitsFor(other) && !waitsFor(side)) showWhere(side, coordinate, true);
