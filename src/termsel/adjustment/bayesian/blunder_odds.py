@@ -45,11 +45,11 @@ def blunder_odds(solutions: Iterable[tuple[float, Posterior, bool]],
     """
     wrong = []
     right = []
-    for probability, posterior, has_field in solutions:
-        log_share = np.log(probability * posterior.cells.share)
+    for probability, solution, has_field in solutions:
+        log_share = np.log(probability * solution.cells.share)
         factor = FIELD_VARIANCE_FACTOR if has_field else 1.0
-        wrong.append(log_share + _log_density(posterior, points, factor, BLUNDER_SIZES))
-        right.append(log_share + _log_density(posterior, points, factor, np.ones(1)))
+        wrong.append(log_share + _log_density(solution, points, factor, BLUNDER_SIZES))
+        right.append(log_share + _log_density(solution, points, factor, np.ones(1)))
     return np.asarray(_log_sum(wrong) - _log_sum(right))
 
 
