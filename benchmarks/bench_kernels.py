@@ -17,7 +17,7 @@ from termsel.adjustment.kernels import solve_many
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Lines, Points
 from termsel.models.base import LINE, SAMPLE
 from termsel.models.polynomial import Polynomial3D
-from termsel.models.rational import RationalFunctions
+from termsel.models.quotient import RationalFunctions
 
 Row = tuple[str, float, str, float | None, float | None, float | None]
 Mask = BoolArray | None

@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks.block_kinds import OWN, Kind, drawn
 from termsel import FeatureSet, Fit, Points
 from termsel.data.fit_data import FitData
-from termsel.runs.given import auto_of_all
+from termsel.runs.request import auto_of_all
 from termsel_block.accuracy import independent_points, rmse
 from termsel_block.block import Block
 from termsel_block.geometry.frame import FloatArray, Frame

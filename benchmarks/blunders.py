@@ -29,7 +29,7 @@ from benchmarks.sets import (
     rmse_of,
     split,
 )
-from termsel.adjustment.bayesian import blunder_odds
+from termsel.adjustment.bayesian import field
 from termsel.auto import blunders, contradictions
 from termsel.auto.auto import Auto
 from termsel.auto.blunders import find_blunders
@@ -261,7 +261,7 @@ def _quantile(values: list[float]) -> str:
 CONSTANTS = {"UNLIKELY": (contradictions, blunders), "STRAIN": (contradictions, blunders),
              "ALLOWANCE": (contradictions,), "LOOK": (contradictions,), "MOST": (blunders,),
              "STEP": (blunders,), "CLEAR": (blunders,), "LEAST": (blunders,),
-             "SIZES": (blunder_odds,), "FORM": (blunder_odds,)}
+             "BLUNDER_SIZES": (field,), "FIELD_VARIANCE_FACTOR": (field,)}
 """By name, the modules that know it."""
 
 
@@ -352,7 +352,7 @@ are worse.
 
 Median ratio to clean data, blunders named, and right points left out, with each constant of
 `termsel.auto.contradictions`, `termsel.auto.blunders` and
-`termsel.adjustment.bayesian.blunder_odds` halved and doubled: one point in 15 of 24 and of 40
+`termsel.adjustment.bayesian.field` halved and doubled: one point in 15 of 24 and of 40
 points, one split each.
 
 {sensitivity(wanted, 1)}

@@ -16,9 +16,9 @@ import numpy as np
 
 import termsel
 from benchmarks.sets import put
-from termsel.adjustment.parts import independent_parts, solve_parts
+from termsel.adjustment.leave_out import independent_parts, solve_parts
 from termsel.data.features import FloatArray
-from termsel.models.poles import POLE_MARGIN, guard_points
+from termsel.models.quotient import POLE_MARGIN, guard_points
 from termsel.selection.problems.constraints import parents
 from termsel.selection.problems.selection import SelectionProblem
 from termsel.selection.solvers.proofs.proof import prove

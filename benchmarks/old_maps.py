@@ -22,7 +22,7 @@ import numpy as np
 import termsel
 from benchmarks.sets import DATA, PLAIN, heights_of, put, rmse_of, split
 from termsel.adjustment.bayesian import field
-from termsel.auto import local
+from termsel.auto import shrunken
 from termsel.auto.auto import Auto
 from termsel.auto.rule import best_of
 from termsel.data.features import FeatureSet, Points
@@ -172,7 +172,7 @@ def verdict(found: list[Row]) -> str:
 
 
 CONSTANTS = ("LENGTHS", "RATIOS", "FALLS", "RELIEF", "KNOTS", "JITTER")
-ODDS = ((field, "FIELD"), (field, "ALIKE"), (local, "LIKELY"))
+ODDS = ((field, "FIELD"), (field, "ALIKE"), (shrunken, "LIKELY"))
 
 
 def sensitivity(splits: int) -> str:

@@ -17,9 +17,9 @@ import numpy as np
 import termsel
 from benchmarks.new_points import NEW, scene
 from benchmarks.sets import put, rmse_of
-from termsel.adjustment.parts import independent_parts, solve_parts
+from termsel.adjustment.leave_out import independent_parts, solve_parts
 from termsel.data.features import BoolArray, FloatArray, no_lines
-from termsel.models.poles import POLE_MARGIN, guard_points
+from termsel.models.quotient import POLE_MARGIN, guard_points
 
 SEEDS = range(301, 307)
 OPTIONS: dict[str, Any] = {"order": 2, "workers": 1}

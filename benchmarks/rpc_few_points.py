@@ -24,7 +24,7 @@ from termsel.auto.blunders import find_blunders
 from termsel.core.threads import one_blas_thread
 from termsel.data.features import FloatArray
 from termsel.data.fit_data import FitData
-from termsel.runs.given import auto_of_all
+from termsel.runs.request import auto_of_all
 from termsel_rpc.simulated import RPC_FILE
 
 COUNTS = (1, 2, 4, 8, 16)

@@ -20,7 +20,7 @@ from termsel.auto.methods import METHODS
 from termsel.core.threads import one_blas_thread
 from termsel.data.features import FeatureSet
 from termsel.data.fit_data import FitData
-from termsel.runs.given import auto_of_all
+from termsel.runs.request import auto_of_all
 from termsel_bench.scenes.cameras import ALL_KINDS, CHOSEN, FRESH, Ranges, image_of
 from termsel_scanner.photos import CANDIDATES as CAMERAS
 

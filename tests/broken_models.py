@@ -13,8 +13,7 @@ from termsel.core.options import Option
 from termsel.data.features import FeatureSet, FloatArray, IntArray
 from termsel.data.scaling import Scaling
 from termsel.models.polynomial import Affine, Polynomial2D
-from termsel.models.quotient import Blocks, RationalModel
-from termsel.models.rational import RationalFunctions
+from termsel.models.quotient import Blocks, RationalFunctions, RationalModel
 
 
 class Dlt(RationalModel):

@@ -8,8 +8,8 @@ import termsel
 from termsel.adjustment.equations import Equations, line_normals
 from termsel.data.features import FeatureSet
 from termsel.models.base import SensorModel
-from termsel.models.poles import POLE_MARGIN
 from termsel.models.polynomial import Polynomial3D
+from termsel.models.quotient import POLE_MARGIN
 from termsel.selection.problems.selection import SelectionProblem
 
 CRITERIA = ("press", "kfold", "ebic")

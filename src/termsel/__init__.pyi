@@ -22,9 +22,9 @@ from .data.features import Lines as Lines
 from .data.features import Points as Points
 from .data.fit_data import FitData as FitData
 from .data.rasters import open_raster as open_raster
+from .data.roles import Split as Split
 from .data.rpc import Rpc as Rpc
 from .data.scaling import Scaling as Scaling
-from .data.splits import Split as Split
 from .fitting.accuracy import ce90 as ce90
 from .fitting.fit import Estimator as Estimator
 from .fitting.fit import Fit as Fit
@@ -74,8 +74,8 @@ from .results.blocks import TableBlock as TableBlock
 from .results.extras import Measure as Measure
 from .results.extras import ReportSection as ReportSection
 from .results.result import Result as Result
-from .runs.assess import assess as assess
 from .runs.fit import fit as fit
+from .runs.run import assess as assess
 from .runs.run import run as run
 from .runs.searching import GivenGenes as GivenGenes
 from .runs.searching import Search as Search

@@ -23,7 +23,7 @@ from termsel.auto.shrunken import average
 from termsel.data.features import no_lines, no_points
 from termsel.data.fit_data import FitData
 from termsel.data.monomials import graded_exponents, monomials
-from termsel.data.record.base import plain
+from termsel.data.record.figures import plain
 from termsel.data.scaling import scaling_of
 
 

@@ -365,7 +365,7 @@ def test_a_result_of_an_estimator_of_the_session_is_the_same_fit_again(
 
 def test_a_name_that_is_taken_keeps_the_built_in(session: Callable[[Method], None],
                                                  control: FitData) -> None:
-    from termsel.runs.given import auto_of_all
+    from termsel.runs.request import auto_of_all
 
     session(Known("affine", "another affine model", Affine()))
     assert registry().known("methods", "affine") is named("affine")

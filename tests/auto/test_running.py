@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 import termsel
 from termsel.core.errors import TermselError
 from termsel.data.features import FeatureSet, Points
-from termsel.data.record.base import plain
+from termsel.data.record.figures import plain
 from termsel.simulate import simulate_scene
 
 PROBLEMS = ("rfm-terms", "rfm-terms-lines", "poly-terms", "owdis-points", "owdis-lines",

@@ -16,7 +16,7 @@ import termsel
 from termsel.cli.main import cli
 from termsel.io.project import project_table
 from termsel.io.result_folder import read_result, write_result
-from termsel.results.checksums import of_record
+from termsel.results.result import of_record
 from termsel.testing import example_results
 
 

@@ -17,12 +17,11 @@ import pytest
 import termsel
 from termsel import FeatureSet, Lines, Objective, Option, Points, Recipe, SelectionProblem
 from termsel.core.errors import TermselError
-from termsel.data.roles import in_order
+from termsel.data.roles import in_order, merged
 from termsel.data.scaling import scaling_of
-from termsel.data.twins import merged
 from termsel.formats.readers.csv_tables import write_lines_csv, write_points_csv
 from termsel.plugins.registry import registry
-from termsel.results.checksums import of_features
+from termsel.results.result import of_features
 
 SOURCES = ("gps", "map", "=1+1", 'a "b", c', "two\nlines", "", "007", "#7")
 

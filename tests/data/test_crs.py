@@ -17,9 +17,8 @@ from termsel.data.coordinates.crs import (
     short,
     to_wgs84,
 )
-from termsel.data.coordinates.metres import in_metres
+from termsel.data.coordinates.metres import for_warping, in_metres
 from termsel.data.coordinates.plausible import check_ground
-from termsel.data.coordinates.utm import for_warping
 from termsel.data.features import FeatureSet, Lines, Points, no_points
 
 

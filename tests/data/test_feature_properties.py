@@ -13,9 +13,8 @@ from hypothesis.extra.numpy import arrays
 from termsel.core.errors import TermselError
 from termsel.data.coordinates.places import spatial_order
 from termsel.data.features import ROLES, FeatureSet, FloatArray, Lines, Points
-from termsel.data.roles import assign
+from termsel.data.roles import ASSIGNABLE, SPLITS, assign
 from termsel.data.scaling import scaling_of
-from termsel.data.splits import ASSIGNABLE, SPLITS
 
 # The same examples every time: a failure in a test of figures must not depend on luck.
 settings.register_profile("core", deadline=None, derandomize=True, max_examples=40)

@@ -22,7 +22,7 @@ from termsel.data.coordinates.crs import (
     to_wgs84,
     transformation,
 )
-from termsel.data.coordinates.utm import metric_crs, polar_crs
+from termsel.data.coordinates.metres import metric_crs, polar_crs
 from termsel.data.features import FeatureSet, Lines, Points
 from termsel.data.fit_data import FitData
 from termsel.data.scaling import Scaling, scaling_of

@@ -9,7 +9,7 @@ import pytest
 
 import termsel
 from termsel import FeatureSet, Points
-from termsel.data.lattices import lattice_of
+from termsel.data.coordinates.places import lattice_of
 
 LINES, COLUMNS = 9, 11
 

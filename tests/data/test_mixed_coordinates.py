@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.data.coordinates.mixed import note_on_mixed
+from termsel.data.coordinates.plausible import note_on_mixed
 from termsel.data.features import FeatureSet, Points
 from termsel.results.first_screen import next_step
 

@@ -9,7 +9,7 @@ import pytest
 
 import termsel
 from termsel.data.features import FeatureSet, Points, no_lines
-from termsel.data.twins import merged, twins
+from termsel.data.roles import merged, twins
 from termsel.selection.criteria import KFold
 
 
@@ -95,7 +95,7 @@ def test_a_blunder_is_left_out_with_its_twin() -> None:
 @pytest.mark.parametrize(("shift", "groups"), [(0.9, 24), (1.1, 25)])
 def test_how_near_twins_are(shift: float, groups: int, few: int,
                             monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("termsel.data.twins.MAX_PAIRWISE_PLACES", few)  # others are found by a tree
+    monkeypatch.setattr("termsel.data.roles.MAX_PAIRWISE_PLACES", few)  # others are found by a tree
     ground = np.array([(x, y, 5.0 * x) for x in range(5) for y in range(5)], dtype=float)
     # Half of the points are between 1 and 3: the spread is 4, the side of a point's square 0.8.
     ground[0] = ground[1] - [0.0, 0.008 * shift, 0.0]

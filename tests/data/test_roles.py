@@ -14,13 +14,13 @@ from click.testing import CliRunner
 
 import termsel
 from termsel.cli.main import cli
-from termsel.core.display.numbers import rounded
+from termsel.core.errors import rounded
 from termsel.data.coordinates.crs import transformation
 from termsel.data.features import FeatureSet, FloatArray, Points
 from termsel.data.roles import observe
 from termsel.formats.readers.csv_tables import write_points_csv
 from termsel.io.accuracy_tags import accuracy_tags
-from termsel.results.compared import verdict_on_choice
+from termsel.results.verdict import verdict_on_choice
 
 NOISE = 0.6
 EXTENT = np.array([15_000.0, 12_000.0])

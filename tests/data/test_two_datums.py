@@ -9,7 +9,7 @@ import pytest
 
 import termsel
 from termsel.data.features import FeatureSet, Points
-from termsel.data.two_groups import datum_of, two_groups
+from termsel.runs.data_notes import datum_of, two_groups
 from termsel.simulate import simulate_scene
 from termsel.simulate.catalogue import SCENES
 

@@ -17,7 +17,7 @@ from benchmarks import accuracy, blunders, coverage, lines, old_maps
 from benchmarks.papers import konugurthi
 from benchmarks.sets import rmse_of, split
 from termsel.auto.auto import Auto
-from termsel.auto.validated import FitData
+from termsel.auto.rule import FitData
 from termsel.data.features import FeatureSet
 from tests.docs.test_evidence_pages import PAGES, row
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.special import logsumexp
 
 from termsel import FeatureSet, Lines, Points
-from termsel.adjustment.bayesian.blunder_odds import (
+from termsel.adjustment.bayesian.field import (
     BLUNDER_SIZES,
     FIELD_VARIANCE_FACTOR,
     blunder_odds,

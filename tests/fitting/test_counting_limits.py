@@ -17,17 +17,14 @@ from termsel.data.coordinates.places import beyond
 from termsel.data.coordinates.plausible import check_ground
 from termsel.data.features import FeatureSet, FloatArray, Lines, Points
 from termsel.data.monomials import RPC00B, monomial_name
-from termsel.data.roles import by_roles, observe
+from termsel.data.roles import SPLITS, by_roles, observe
 from termsel.data.rpc import Rpc
 from termsel.data.scaling import scaling_of
-from termsel.data.splits import SPLITS
-from termsel.fitting.diagnosis import significance
-from termsel.fitting.figures import in_role
+from termsel.fitting.figures import in_role, significance
 from termsel.fitting.fit import Fit
 from termsel.fitting.least_squares import LEAST_SQUARES
-from termsel.models.poles import pole_violation
 from termsel.models.polynomial import Affine
-from termsel.models.rational import RationalFunctions
+from termsel.models.quotient import RationalFunctions, pole_violation
 
 
 def points(n: int, prefix: str = "P", *, noise: float = 0.0, seed: int = 0,

@@ -15,7 +15,7 @@ from termsel.data.scaling import scaling_of
 from termsel.fitting.least_squares import LeastSquares
 from termsel.fitting.least_squares import fit as low_level
 from termsel.fitting.residuals import Residuals
-from termsel.models.rational import RationalFunctions
+from termsel.models.quotient import RationalFunctions
 from termsel.plugins.registry import registry
 from termsel.simulate import simulate_scene
 

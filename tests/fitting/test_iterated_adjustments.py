@@ -11,7 +11,7 @@ import pytest
 from scipy.optimize import least_squares
 
 import termsel
-from termsel.adjustment.parts import solve_parts
+from termsel.adjustment.leave_out import solve_parts
 from termsel.testing import invoke
 
 

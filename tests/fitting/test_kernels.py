@@ -14,7 +14,7 @@ from termsel.adjustment import Equations, solve
 from termsel.adjustment.blocks import paying, reduced
 from termsel.adjustment.kernels import BLOCK, _prepared, needs_compilation, solve_many
 from termsel.data.features import FeatureSet, Points
-from termsel.models.rational import RationalFunctions
+from termsel.models.quotient import RationalFunctions
 
 SYSTEMS = st.tuples(
     st.integers(0, 2**32 - 1),  # seed

@@ -7,12 +7,11 @@ import pytest
 from scipy.optimize import least_squares
 
 from termsel import TermselError, prepare, simulate_scene
-from termsel.adjustment.equations import line_normals
-from termsel.adjustment.lines import approximate_image, row_weights
+from termsel.adjustment.equations import approximate_image, line_normals, row_weights
 from termsel.data.features import FeatureSet, Lines, Points, no_points
 from termsel.data.scaling import scaling_of
 from termsel.fitting.least_squares import fit
-from termsel.models.rational import RationalFunctions
+from termsel.models.quotient import RationalFunctions
 
 
 def lines_of_a_scene(n: int) -> FeatureSet:

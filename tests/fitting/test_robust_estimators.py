@@ -11,7 +11,7 @@ from scipy.optimize import least_squares, minimize
 import termsel
 from termsel.adjustment.equations import Equations
 from termsel.auto.robust import HUBER, TUKEY, reweighted
-from termsel.fitting.diagnosis import NORMAL_MEDIAN
+from termsel.fitting.figures import NORMAL_MEDIAN
 from termsel.simulate import simulate_scene
 
 

@@ -12,9 +12,9 @@ from scipy.stats import multivariate_normal
 import termsel
 from termsel.adjustment.bayesian import field, posterior
 from termsel.adjustment.bayesian.field import fit_gaussian_process
-from termsel.adjustment.bayesian.predicted_positions import predict_positions
+from termsel.adjustment.bayesian.posterior import predict_positions
+from termsel.adjustment.bayesian.shrinkage import orthogonal
 from termsel.adjustment.bayesian.thin_plate import thin_plates
-from termsel.adjustment.orthogonal import orthogonal
 from termsel.auto.auto import Auto
 from termsel.data.features import FeatureSet, FloatArray, Points
 from termsel.data.fit_data import FitData
@@ -123,7 +123,7 @@ def one_cell(monkeypatch: pytest.MonkeyPatch) -> tuple[float, float, tuple[float
     """Leave one solution with a field on the grid, and return its size, ratio and lengths."""
     size, ratio, lengths = 10.0, 0.25, (0.4, 0.8)
     monkeypatch.setattr(posterior, "PRIOR_SIZES", np.array([size]))
-    monkeypatch.setattr("termsel.adjustment.bayesian.predicted_positions.PRIOR_SIZES",
+    monkeypatch.setattr("termsel.adjustment.bayesian.posterior.PRIOR_SIZES",
                         np.array([size]))
     for name, value in (("FIELD_RATIOS", (ratio,)), ("FIELD_FALLS", (0.1,)),
                         ("FIELD_LENGTHS", (lengths, lengths[::-1])),

@@ -12,7 +12,7 @@ import pytest
 
 import termsel
 from termsel.core.errors import TermselError
-from termsel.data.tables.numbers import BadCell, decimal_signs, read_numbers
+from termsel.data.tables.columns import BadCell, decimal_signs, read_numbers
 from termsel.plugins.registry import registry
 from termsel.testing import check
 from tests.kinds_of_tables import (

@@ -27,8 +27,8 @@ from termsel.data.features import FeatureSet
 from termsel.formats.heights import with_heights
 from termsel.plugins.registry import registry
 from termsel.results import pictures
-from termsel.results.checksums import SEALS, of_record
 from termsel.results.pictures import picture
+from termsel.results.result import SEALS, of_record
 from termsel.runs.request import DATA_OPTIONS
 from termsel.simulate import read_geometry
 from tests.fuzz import readers, surfaces

@@ -15,7 +15,7 @@ import pytest
 
 import termsel
 from termsel.adjustment.equations import Equations
-from termsel.auto.validated import validated
+from termsel.auto.rule import validated
 from termsel.core.isolation.faults import PluginFault
 from termsel.data.features import FloatArray
 from termsel.testing import check

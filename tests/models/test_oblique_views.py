@@ -13,7 +13,7 @@ from benchmarks.oblique import LINES, SAMPLES, Scene, case_of, rmse, scene
 from termsel.auto.auto import Auto
 from termsel.auto.blunders import find_blunders
 from termsel.auto.methods import named
-from termsel.auto.validated import has_pole, refusal, validated
+from termsel.auto.rule import has_pole, refusal, validated
 from termsel.data.features import FloatArray
 from termsel.data.fit_data import FitData
 from termsel.data.scaling import scaling_of

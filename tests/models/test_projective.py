@@ -10,8 +10,7 @@ import termsel
 from termsel.adjustment import solve
 from termsel.data.features import FeatureSet, FloatArray, Points, no_lines
 from termsel.models.projective import DLT2D, DLT3D, Projective2D
-from termsel.models.quotient import RationalModel
-from termsel.models.rational import RationalFunctions
+from termsel.models.quotient import RationalFunctions, RationalModel
 
 
 def points(image: FloatArray, ground: FloatArray) -> FeatureSet:

@@ -53,7 +53,7 @@ def test_a_broken_wrapper_or_endless_hook_changes_nothing(install, registry, how
 def test_the_first_called_takes_no_name_of_termsel(install, registry):
     install("rival", WRAPPERS.format(name="rfm", how="tryfirst=True", body="return [Last]"))
     names = registry()
-    assert names.get("models", "rfm").__module__ == "termsel.models.rational"
+    assert names.get("models", "rfm").__module__ == "termsel.models.quotient"
     assert names.names("models")[0] == "rival:rfm"
 
 

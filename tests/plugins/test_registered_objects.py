@@ -25,7 +25,7 @@ from termsel import (
     TermselError,
     read_result,
 )
-from termsel.data.record.base import plain
+from termsel.data.record.figures import plain
 from termsel.plugins.registry import Registry, registry
 from termsel.results.result import Result as Record
 

@@ -123,7 +123,7 @@ def test_other_hooks_of_a_plugin_with_an_unknown_one_count(install, registry):
 def test_a_clash_keeps_the_built_in(install, registry):
     install("rival", MODEL.format(name="rfm"))
     names = registry()
-    assert names.get("models", "rfm").__module__ == "termsel.models.rational"
+    assert names.get("models", "rfm").__module__ == "termsel.models.quotient"
     assert names.get("models", "termsel:rfm") is names.get("models", "rfm")
     assert names.get("models", "rival:rfm").__module__ == "rival"
     listed = [(e.name, e.provided_by) for e in names.entries("models") if "rfm" in e.name]

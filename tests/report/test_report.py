@@ -17,7 +17,7 @@ from click.testing import CliRunner
 import termsel
 from termsel.cli import plot
 from termsel.cli.main import cli
-from termsel.data.record.base import plain
+from termsel.data.record.figures import plain
 from termsel.io.example import write_example
 from termsel.results import library
 from termsel.results.charts import maps

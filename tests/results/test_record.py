@@ -15,8 +15,7 @@ import termsel
 from termsel.auto.methods import METHODS, named
 from termsel.core.errors import TermselError
 from termsel.data.features import FeatureSet, no_lines, no_points
-from termsel.data.record.base import plain
-from termsel.data.record.figures import AdjustmentFigures, StandardFigure
+from termsel.data.record.figures import AdjustmentFigures, StandardFigure, plain
 from termsel.data.record.record import FitRecord
 from termsel.fitting.fit import Fit
 from termsel.io.result_folder import read_result, write_result

@@ -15,8 +15,7 @@ import termsel
 from termsel.core.errors import TermselError
 from termsel.data.features import FeatureSet, Points
 from termsel.io.result_folder import read_result, write_result
-from termsel.results.checksums import of_record
-from termsel.results.result import Result
+from termsel.results.result import Result, of_record
 from termsel.simulate import simulate_scene
 from termsel.testing import example_results
 from termsel_photos import simulate_map

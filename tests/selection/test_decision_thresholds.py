@@ -12,9 +12,9 @@ import termsel
 from termsel.auto.auto import Auto
 from termsel.auto.compare import compare
 from termsel.auto.methods import Structure, named
+from termsel.auto.rule import validated
 from termsel.auto.selected import select_forward
 from termsel.auto.shrunken import average
-from termsel.auto.validated import validated
 from termsel.data.coordinates.places import spatial_order
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points, no_points
 from termsel.data.fit_data import FitData
@@ -24,7 +24,7 @@ from termsel.fitting.fit import HeldOut
 from termsel.fitting.method import Method
 from termsel.fitting.population import Fits
 from termsel.models.projective import DLT3D
-from termsel.results.checksums import of_features
+from termsel.results.result import of_features
 from termsel.runs.recommend import recommended
 from termsel.runs.request import request_of
 from termsel.runs.task import observe, prepare

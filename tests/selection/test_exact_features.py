@@ -13,7 +13,7 @@ import pytest
 
 import termsel
 from termsel.data.features import FeatureSet
-from termsel.data.record.base import plain
+from termsel.data.record.figures import plain
 from termsel.selection.best_subsets.features.walk import Branch, RowSystem, Selections
 from termsel.selection.solvers.proofs.exact_features import duration, prove_features, selections_of
 

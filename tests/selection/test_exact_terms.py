@@ -12,7 +12,7 @@ import pytest
 
 import termsel
 from termsel.core.errors import TermselError
-from termsel.data.record.base import plain
+from termsel.data.record.figures import plain
 from termsel.fitting.population import Fits
 from termsel.runs.searching import assessed
 from termsel.selection.best_subsets import descents as subset_descents

@@ -15,7 +15,7 @@ import termsel
 from termsel.adjustment.equations import line_normals
 from termsel.data.features import Lines
 from termsel.data.rpc import Rpc
-from termsel.fitting.diagnosis import correlations, orientation_spread, significance
+from termsel.fitting.figures import correlations, orientation_spread, significance
 from termsel.runs import steps
 from termsel.runs.steps import search_in_steps
 from termsel.simulate import simulate_scene

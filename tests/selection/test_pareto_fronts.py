@@ -10,7 +10,7 @@ from pymoo.algorithms.moo.age2 import AGEMOEA2Survival
 from scipy.spatial import ConvexHull, QhullError
 
 import termsel
-from termsel.adjustment.parts import independent_parts
+from termsel.adjustment.leave_out import independent_parts
 from termsel.data.features import FeatureSet, Points
 from termsel.runs.recommend import recommended
 from termsel.selection.problems.coverage import hull_areas, uncovered_share

@@ -9,15 +9,13 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from termsel.adjustment.equations import Equations
-from termsel.adjustment.lines import row_weights
+from termsel.adjustment.equations import Equations, row_weights
 from termsel.adjustment.solve import solve
 from termsel.core.errors import TermselError
 from termsel.data.features import BoolArray, FloatArray, Lines, Points
 from termsel.models.base import SensorModel
 from termsel.models.polynomial import Affine, Polynomial2D, Polynomial3D
-from termsel.models.quotient import Blocks, RationalModel
-from termsel.models.rational import RationalFunctions
+from termsel.models.quotient import Blocks, RationalFunctions, RationalModel
 from termsel.selection.criteria import CheckRmse
 from termsel.selection.problems.base import Evaluation, Problem, ProblemData
 from termsel.selection.problems.genome import Genome

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.adjustment.ridge import Spectrum, choose_penalty
+from termsel.adjustment.solve import Spectrum, choose_penalty
 from termsel.data.features import BoolArray
 from termsel.fitting.least_squares import fit
 from termsel.selection.problems.base import Problem

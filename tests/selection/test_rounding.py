@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.adjustment.rounding import by_size, largest
+from termsel.adjustment.solve import by_size, largest
 from termsel.auto.selected import select_forward
 from termsel.data.features import FeatureSet, Points
 from termsel.data.monomials import graded_exponents, monomials

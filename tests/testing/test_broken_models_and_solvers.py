@@ -13,8 +13,7 @@ from termsel.core.options import Option
 from termsel.data.features import FloatArray
 from termsel.fitting.population import Fits
 from termsel.models.polynomial import Affine
-from termsel.models.quotient import Blocks, RationalModel
-from termsel.models.rational import RationalFunctions
+from termsel.models.quotient import Blocks, RationalFunctions, RationalModel
 from termsel.selection.criteria import CheckRmse, Criterion
 from termsel.selection.problems.base import Problem
 from termsel.selection.solvers.base import Generation, Solver

@@ -11,16 +11,15 @@ import pytest
 from termsel.core.errors import TermselError
 from termsel.data.features import FeatureSet, FloatArray, Points
 from termsel.fitting.losses import LOSS
-from termsel.models.helmert import Helmert2D
 from termsel.models.interpolating import Field, Field3D, ThinPlate
 from termsel.models.polynomial import (
     Affine,
+    Helmert2D,
     Polynomial2D,
     Polynomial3D,
 )
 from termsel.models.projective import DLT2D, DLT3D, Projective2D
-from termsel.models.quotient import Blocks, RationalModel
-from termsel.models.rational import RationalFunctions
+from termsel.models.quotient import Blocks, RationalFunctions, RationalModel
 from termsel.selection.criteria import CheckRmse, Ebic, Huber, KFold, Median, Press
 from termsel.selection.problems.base import ProblemData
 from termsel.selection.problems.selection import SelectionProblem

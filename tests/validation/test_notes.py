@@ -11,13 +11,13 @@ from termsel.auto.contradictions import Suspects
 from termsel.data.features import FeatureSet, FloatArray, Lines, Points, no_lines
 from termsel.data.roles import Observations, by_roles
 from termsel.data.scaling import scaling_of
-from termsel.fitting.diagnosis import PARALLEL, orientation_spread
 from termsel.fitting.extrapolation import warnings_of
+from termsel.fitting.figures import PARALLEL, orientation_spread
 from termsel.fitting.fit import Fit
 from termsel.fitting.least_squares import LEAST_SQUARES, LeastSquares
 from termsel.models.base import SensorModel
 from termsel.models.polynomial import Affine, Polynomial2D
-from termsel.models.rational import RationalFunctions
+from termsel.models.quotient import RationalFunctions
 from termsel.runs import choosing as auto
 from termsel.runs import verdict
 from termsel.runs.judgement import notes_on

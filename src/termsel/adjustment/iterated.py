@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from termsel.adjustment.parts import IndependentPart
+from termsel.adjustment.leave_out import IndependentPart
 from termsel.adjustment.solve import TOLERANCE
 from termsel.data.features import BoolArray, FloatArray, IntArray
 

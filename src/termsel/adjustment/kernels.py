@@ -28,11 +28,29 @@ from numpy.typing import NDArray
 
 from termsel.adjustment.blocks import blocks_of, paying, reduced
 from termsel.adjustment.compiled import compiled, is_compiled
-from termsel.adjustment.distinct import distinct
 from termsel.adjustment.equations import Equations
 from termsel.adjustment.reflections import LANES, apply_one, apply_two
 from termsel.adjustment.solve import TOLERANCE
 from termsel.data.features import BoolArray, FloatArray, IntArray
+
+# Twins in a population of masks.
+
+def distinct(columns: BoolArray, rows: BoolArray) -> tuple[IntArray, IntArray]:
+    """Return the first occurrence of every distinct mask, and the number of each mask among these.
+
+    It takes some hundredths of a solution's time, and a converging population is full of twins.
+    """
+    bits = np.packbits(np.concatenate([columns, rows], axis=1), axis=1)
+    masks = bits.view(f"V{bits.shape[1]}")[:, 0].tolist()
+    numbers = np.arange(len(masks))
+    if len(set(masks)) == len(masks):
+        return numbers, numbers
+    # of the first one
+    first_numbers = dict(zip(reversed(masks), reversed(numbers.tolist()), strict=True))
+    first = np.fromiter(map(first_numbers.__getitem__, masks), np.intp, len(masks))
+    is_first = first == numbers
+    return numbers[is_first], (np.cumsum(is_first) - 1)[first]
+
 
 BLOCK = 192
 """Rows folded into a triangle at once."""

@@ -9,8 +9,7 @@ import numpy as np
 
 from termsel.auto.auto import Auto
 from termsel.auto.methods import ROBUST
-from termsel.auto.rule import Choice, method_of
-from termsel.auto.validated import refusal
+from termsel.auto.rule import Choice, method_of, refusal
 from termsel.data.fit_data import FitData
 from termsel.data.roles import Observations
 from termsel.fitting.figures import BOTH, Baseline, baseline, finite_or_none

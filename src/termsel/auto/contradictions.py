@@ -15,14 +15,12 @@ from termsel.adjustment.bayesian.field import GaussianProcess, fit_gaussian_proc
 from termsel.adjustment.bayesian.held_out import HeldOutPredictions, chance_of
 from termsel.adjustment.bayesian.line_posterior import line_posterior
 from termsel.adjustment.bayesian.posterior import Posterior, posterior, scales_of
-from termsel.adjustment.equations import weights_of
-from termsel.adjustment.lines import row_weights
-from termsel.auto.local import FIELD_CALLED_FOR
-from termsel.auto.rule import PRIOR_MARGIN
-from termsel.auto.validated import gain_of
+from termsel.adjustment.equations import row_weights, weights_of
+from termsel.auto.rule import PRIOR_MARGIN, gain_of
+from termsel.auto.shrunken import FIELD_CALLED_FOR
 from termsel.data.coordinates.crs import is_geographic
 from termsel.data.coordinates.longitudes import continuous
-from termsel.data.coordinates.utm import is_polar
+from termsel.data.coordinates.metres import is_polar
 from termsel.data.features import BoolArray, FloatArray, IntArray
 from termsel.data.fit_data import FitData
 from termsel.data.monomials import monomials

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from termsel.auto.local import Interpolated
-from termsel.auto.physical import Physical
-from termsel.auto.pinhole import PinholeCamera
-from termsel.auto.ridge import RidgeByOrder
+from termsel.auto.physical import Physical, PinholeCamera
 from termsel.auto.robust import Reweighted
 from termsel.auto.selected import ForwardSelection
-from termsel.auto.shrunken import Averaging
+from termsel.auto.shrunken import Averaging, Interpolated, RidgeByOrder
 from termsel.core.errors import TermselError, unknown_name
 from termsel.fitting.fit import Estimator, FixedCoefficients
 from termsel.fitting.least_squares import LeastSquares

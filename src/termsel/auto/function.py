@@ -20,9 +20,8 @@ from termsel.data.features import BoolArray, FeatureSet, FloatArray
 from termsel.data.fit_data import FitData
 from termsel.data.scaling import Scaling
 from termsel.fitting.fit import Estimator, Fit, HeldOut, Undetermined
-from termsel.fitting.least_squares import LeastSquares
+from termsel.fitting.least_squares import LeastSquares, require_determined
 from termsel.fitting.method import Method
-from termsel.fitting.of_features import require_determined
 from termsel.models.base import SensorModel
 from termsel.models.polynomial import Affine, Polynomial, Polynomial2D
 

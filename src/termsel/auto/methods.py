@@ -7,37 +7,38 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from termsel.adjustment.bayesian.field import GaussianProcess
-from termsel.auto.local import (
-    FIELD_CALLED_FOR,
-    FIELD_EXCLUDED,
-    Interpolated,
-    interpolated,
-    required_probability,
-)
 from termsel.auto.physical import (
     PHYSICAL_MAX_CHOSEN,
     PHYSICAL_MIN_POINTS,
+    PINHOLE_MAX_POINTS,
     Physical,
+    PinholeCamera,
+    call_for_camera,
     camera_average_of,
+    may_be_oblique,
 )
-from termsel.auto.pinhole import PINHOLE_MAX_POINTS, PinholeCamera, call_for_camera, may_be_oblique
-from termsel.auto.ridge import RidgeByOrder
 from termsel.auto.robust import Reweighted
 from termsel.auto.selected import ForwardSelection
-from termsel.auto.shrunken import Averaging
+from termsel.auto.shrunken import (
+    FIELD_CALLED_FOR,
+    FIELD_EXCLUDED,
+    Averaging,
+    Interpolated,
+    RidgeByOrder,
+    interpolated,
+    required_probability,
+)
 from termsel.data.fit_data import FitData, is_off_plane
 from termsel.data.scaling import metres_of
 from termsel.data.view import view_of
 from termsel.fitting.fit import Fit, Undetermined
-from termsel.fitting.least_squares import LEAST_SQUARES, LeastSquares
+from termsel.fitting.least_squares import LEAST_SQUARES, LeastSquares, require_determined
 from termsel.fitting.method import Method
-from termsel.fitting.of_features import require_determined
 from termsel.models.base import SensorModel
-from termsel.models.helmert import Helmert2D
 from termsel.models.interpolating import Field, Field3D, ThinPlate
-from termsel.models.polynomial import Affine, Polynomial2D, Polynomial3D
+from termsel.models.polynomial import Affine, Helmert2D, Polynomial2D, Polynomial3D
 from termsel.models.projective import DLT3D, Projective2D
-from termsel.models.rational import RationalFunctions
+from termsel.models.quotient import RationalFunctions
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from termsel.auto.folds import folds_of
+from termsel.auto.rule import folds_of
 from termsel.data.coordinates.places import ground_centres, spatial_order
 from termsel.data.features import FeatureSet
 from termsel.data.fit_data import FitData

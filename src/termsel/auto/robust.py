@@ -16,7 +16,7 @@ from termsel.adjustment.equations import Equations
 from termsel.data.features import BoolArray, FeatureSet, FloatArray
 from termsel.data.record.chances import median
 from termsel.data.scaling import Scaling
-from termsel.fitting.diagnosis import NORMAL_MEDIAN
+from termsel.fitting.figures import NORMAL_MEDIAN
 from termsel.fitting.fit import Estimator, Fit
 from termsel.fitting.least_squares import LeastSquares
 from termsel.models.base import SensorModel

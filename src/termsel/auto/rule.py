@@ -1,21 +1,122 @@
 """The rule by which one of several methods is chosen, from their errors at held-out features.
 
 Errors are compared by logarithms of their squares, lest a few great ones make everything uncertain:
-see `termsel.auto.validated.gain_of`.
+see `termsel.auto.rule.gain_of`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import erf, sqrt
 
 import numpy as np
 
-from termsel.auto.validated import gain_of
+from termsel.data.coordinates.places import MIN_LATTICE_LINES as FEWEST_LINES
+from termsel.data.coordinates.places import lattice_of
+from termsel.data.features import FeatureSet, FloatArray, no_points
+from termsel.data.fit_data import FitData
 from termsel.data.record.chances import t_quantile
-from termsel.fitting.fit import Fit
+from termsel.fitting.fit import Fit, Undetermined
+from termsel.fitting.least_squares import left_out_squares
 from termsel.fitting.method import Method
+from termsel.models.quotient import guard_points, pole_margin, pole_violation
+
+# A method fitted to features and held against them: what auto compares.
+
+POLE_BOX_FACTOR = 1.5
+"""A denominator must be positive in a box this much wider than that of the points."""
+
+
+def validated(method: Method, data: FitData) -> Fit | None:
+    """Return a method fitted to features, with the errors of each held out.
+
+    None where auto does not try it, the features do not determine it with redundancy, or it has a
+    pole.
+    """
+    if not method.tried(data):
+        return None
+    try:
+        fitted = replace(method.fit(data), method=method)
+        if fitted.stored_held_out is None and (
+                fitted.adjustment.redundancy < 1 or has_pole(fitted)):
+            return None
+        fitted.held_out()
+    except Undetermined:
+        return None
+    return fitted
+
+
+def has_pole(fitted: Fit) -> bool:
+    """Return whether a denominator falls short of the margin in a box wider than the points'.
+
+    What no image of such a view shows, as it lies behind the camera, does not count.
+    """
+    control = fitted.scaled_control
+    return bool(pole_violation(
+        fitted.model, fitted.adjustment.coefficients[None],
+        guard_points(control, no_points(), POLE_BOX_FACTOR), pole_margin(control.points))[0])
+
+
+def refusal(fitted: Fit) -> str:
+    """Return why a fit by least squares, which is determined, is not judged; "" if it is."""
+    if not fitted.estimator.least_squares:
+        return ""
+    if has_pole(fitted):
+        return "a denominator is near zero or negative at or near the control (a pole)"
+    if not np.isfinite(left_out_squares(fitted)).all():
+        return ("without one of the features it is not determined, or has a denominator near "
+                "zero or negative there (a pole)")
+    return ""
+
+
+def gain_of(squares: FloatArray, other_squares: FloatArray, rounding: float = 0.0) -> float:
+    """Return by how many standard errors squared errors are smaller than others, in logarithms.
+
+    The gain is the mean of g = log(others / squares) by its standard error. Errors up to `rounding`
+    are none, and equal: of points that a model fits exactly, the logarithms of the residuals would
+    differ by chance, and from processor to processor.
+    """
+    tiny = np.finfo(float).tiny
+    smallest = max(rounding**2, tiny)
+    gain = np.log(np.maximum(other_squares, smallest) / np.maximum(squares, smallest))
+    return float(gain.mean() / max(gain.std(ddof=1) / np.sqrt(len(gain)), tiny))
+
+
+# In how many folds features are held out, and which lines of a lattice are.
+
+FOLDS_WITH_LINES = 10
+"""Folds in which the whole choice is repeated where there are lines, which take longer."""
+
+FOLDS = ((40, 20), (5000, 10), (50_000, 5), (np.inf, 2))
+"""Folds for fewer points than a number: of many, nine tenths or four fifths predict all but as well
+as all, and of very many a half."""
+
+FOLDS_OF_LATTICE = 8
+"""Folds of the lines of a lattice, and of its columns: of a radar image with ten, one each."""
+
+
+def folds_of(features: FeatureSet) -> int:
+    """Return in how many folds the whole choice is repeated."""
+    if len(features.lines):
+        return min(FOLDS_WITH_LINES, len(features))
+    lattice = lattice_of(features.points)
+    if lattice is not None:
+        return folds_along(lattice.lines) + folds_along(lattice.columns)
+    return next(min(folds, len(features)) for below, folds in FOLDS if len(features) < below)
+
+
+def held_out_lines(count: int) -> tuple[int, int]:
+    """Return the first and the last of so many lines that are left out."""
+    edge = 2 if count > 2 * FEWEST_LINES else 1
+    return edge, count - 1 - edge
+
+
+def folds_along(count: int) -> int:
+    """Return in how many folds so many lines are left out."""
+    first, last = held_out_lines(count)
+    return min(FOLDS_OF_LATTICE, last - first + 1)
+
 
 PRIOR_MARGIN = 1.0
 """Standard errors by which a method with a prior must be better than the one before it (the rule of

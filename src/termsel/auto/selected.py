@@ -14,9 +14,8 @@ from math import comb
 import numpy as np
 
 from termsel.adjustment.equations import weights_of
-from termsel.adjustment.rounding import ROUNDING, largest
-from termsel.adjustment.solve import TOLERANCE
-from termsel.auto.local import points_alone
+from termsel.adjustment.solve import ROUNDING, TOLERANCE, largest
+from termsel.auto.shrunken import points_alone
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray
 from termsel.data.monomials import monomials
 from termsel.data.scaling import Scaling

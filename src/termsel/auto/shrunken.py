@@ -28,22 +28,26 @@ Statistical Science 14(4), for averaging. The prior's form is termsel's own.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from termsel.adjustment.bayesian.field import GaussianProcess
 from termsel.adjustment.bayesian.line_posterior import mean_line_solution
 from termsel.adjustment.bayesian.posterior import Posterior, polynomial_posterior
-from termsel.adjustment.equations import line_normals, weights_of
-from termsel.adjustment.lines import row_weights
-from termsel.adjustment.solve import Adjustment
+from termsel.adjustment.equations import line_normals, row_weights, weights_of
+from termsel.adjustment.interpolation import Interpolation
+from termsel.adjustment.leave_out import independent_parts
+from termsel.adjustment.solve import TOLERANCE, Adjustment, Spectrum, choose_penalty
 from termsel.core.errors import counted
-from termsel.data.features import BoolArray, FeatureSet, FloatArray
+from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points
 from termsel.data.monomials import Exponents, monomials
 from termsel.data.scaling import Scaling
 from termsel.fitting.fit import Estimator, Fit, HeldOut, Undetermined
+from termsel.fitting.least_squares import LeastSquares
 from termsel.models.base import SensorModel
 from termsel.models.polynomial import Polynomial
+from termsel.models.terms import Term
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,3 +172,134 @@ def average_with_lines(features: FeatureSet, model: Polynomial) -> Average | Non
     return Average(coefficients.reshape(2, k).T,
                    np.concatenate([errors[:count].reshape(-1, 2),
                                    errors[count:, None] * normals]), effective)
+
+
+# Ridge regression that shrinks a coefficient the more, the higher the order of its term.
+
+class RidgeByOrder(Estimator):
+    """Ridge regression that shrinks a coefficient the more, the higher the order of its term.
+
+    Minimises |b - A x|^2 + penalty^2 sum (w_j x_j)^2 over the control, for each independent part
+    with the penalty of the least generalised cross-validation. The weight of a numerator's term is
+    its order less 1, so that affine terms are not shrunk, that of a denominator's its order.
+    Without a feature, the penalty is chosen again.
+
+    References
+    ----------
+    Hoerl and Kennard 1970; Golub, Heath, Wahba 1979 for the penalty. The weights are termsel's
+    own choice.
+    """
+
+    name = "ridge-by-order"
+
+    def fit(self, model: SensorModel, control: FeatureSet, scaling: Scaling, terms: BoolArray,
+            used: BoolArray) -> Fit:
+        """Fit a model (see `Estimator.fit`); its adjustment is that of least squares."""
+        plain = LeastSquares(iterated=False).fit(model, control, scaling, terms, used)
+        coefficients = np.zeros(len(terms))
+        trace = 0.0
+        weights = np.array([_weight(name) for name in model.terms])
+        for system in independent_parts(plain.model.equations(plain.scaled_control), model.axis):
+            rows = used[system.equations.feature]
+            selected = terms & system.columns
+            columns = system.equations.A[rows][:, selected[system.columns]]
+            coefficients[selected], effective = _ridge(columns, system.equations.b[rows],
+                                                       weights[selected])
+            trace += effective
+        return plain.with_coefficients(coefficients, self, trace)
+
+
+def _weight(name: str) -> float:
+    """Return the weight of a term by its name, such as "line.den:X2Y"."""
+    term = Term.parse(name)
+    return float(term.order if term.is_denominator else max(term.order - 1, 0))
+
+
+def _ridge(columns: FloatArray, target: FloatArray,
+           weights: FloatArray) -> tuple[FloatArray, float]:
+    """Return coefficients and their effective number."""
+    free = weights == 0
+    x = np.zeros(columns.shape[1])
+    free_columns = columns[:, free]
+    q, strength = np.linalg.svd(free_columns, full_matrices=False)[:2]
+    q = q[:, strength > np.finfo(float).eps * max(free_columns.shape) * strength.max(initial=0.0)]
+    penalised = (columns[:, ~free] - q @ (q.T @ columns[:, ~free])) / weights[~free]
+    y = target - q @ (q.T @ target)
+    effective = float(q.shape[1])
+    if penalised.size:
+        u, s, vt = np.linalg.svd(penalised, full_matrices=False)
+        live = s > TOLERANCE * s.max(initial=0.0)
+        u = u[:, live]
+        s = s[live]
+        vt = vt[live]
+        inner = u.T @ y
+        if len(s):
+            outside = max(float(y @ y - inner @ inner), 0.0)
+            penalty = choose_penalty(
+                Spectrum(s, np.abs(inner), outside, len(y) - q.shape[1]), "gcv")
+            x[~free] = vt.T @ (s / (s**2 + penalty**2) * inner) / weights[~free]
+            effective += float((s**2 / (s**2 + penalty**2)).sum())
+    if free_columns.size:
+        x[free] = np.linalg.lstsq(free_columns, target - columns @ x)[0]
+    return x, effective
+
+
+# Fits that predict from the control points themselves, for images with local deformation.
+
+FIELD_CALLED_FOR = 0.75
+"""Probability of a random field beyond which points support it: odds of three to one, beyond
+which the evidence is positive (Kass and Raftery 1995, J. Am. Stat. Assoc. 90)."""
+
+FIELD_EXCLUDED = 0.05
+"""Probability up to which parts of many points are not asked for a field either."""
+
+
+def required_probability(process: GaussianProcess) -> float:
+    """Return the probability of a random field beyond which points support it.
+
+    Of few points without heights, up to `field.SURE`, any: they tell too little to choose by.
+    """
+    return FIELD_CALLED_FOR * (1.0 - process.spline_weight)
+
+
+def interpolated(model: SensorModel, control: FeatureSet, scaling: Scaling) -> Interpolation | None:
+    """Return what a model predicts from control points; None where they are too few."""
+    return model.prepared(scaling, control.crs).interpolation(scaling.features(control))
+
+
+class Interpolated(Estimator):
+    """The interpolation of a model, where the points support it.
+
+    Its terms are those of least squares, and have no influence. A random field is supported where
+    its probability exceeds `required_probability`.
+    """
+
+    name = "interpolated"
+
+    def fit(self, model: SensorModel, control: FeatureSet, scaling: Scaling, terms: BoolArray,
+            used: BoolArray) -> Fit:
+        """Fit a model (see `Estimator.fit`)."""
+        points_alone(control, used, "an interpolation")
+        interpolation = interpolated(model, control.take(used), scaling)
+        if interpolation is None:
+            raise Undetermined(f"{used.sum()} control points are too few to interpolate by",
+                               hint="Measure more control, spread over the area.")
+        if isinstance(interpolation, GaussianProcess
+                      ) and interpolation.probability <= required_probability(interpolation):
+            raise Undetermined("the points do not show local deformation: its probability is "
+                               f"{interpolation.probability:.2g}", hint="Choose a polynomial.")
+        plain = LeastSquares(iterated=False).fit(model, control, scaling, terms, used)
+        errors = interpolation.errors * scaling.image_scale
+        unknown = np.full(len(terms), np.nan)
+        return replace(plain, estimator=self, trace=interpolation.effective,
+                       stored_held_out=HeldOut.of(errors, control.take(used)),
+                       adjustment=replace(plain.adjustment, deviations=unknown,
+                                          correlations=None))
+
+
+def points_alone(control: FeatureSet, used: BoolArray, taker: str) -> Points:
+    """Return the points in use (n,), and refuse lines for what does not take them, in words."""
+    if len(control.lines):
+        raise Undetermined(f"{taker} takes control points alone, and there are control lines",
+                           hint="Leave the lines out, or choose another model.")
+    return control.points.take(used)

@@ -38,7 +38,7 @@ def plan(folder: Path, candidates: Path | None, count: int, output: Path | None,
     """
     show_messages()
 
-    from termsel.core.display.numbers import rounded
+    from termsel.core.errors import rounded
     from termsel.core.files.atomic import write_text
     from termsel.io.export import as_exported
     from termsel.io.plan import COLUMNS

@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike
 
 from termsel.core.errors import TermselError, counted
 from termsel.data.features import FloatArray, Lines, Points
-from termsel.data.tables.attributes import columns_of
-from termsel.data.values import FARTHEST
+from termsel.data.tables.tabular import FARTHEST, columns_of
 
 FORMS = ("boundary", "centroid")
 

@@ -16,15 +16,16 @@ from termsel.data.arrays import FloatArray as FloatArray
 from termsel.data.arrays import IntArray as IntArray
 from termsel.data.dem_difference import DemDifference
 from termsel.data.rpc import Rpc
-from termsel.data.tables.attributes import (
+from termsel.data.tables.tabular import (
     Attributes,
+    Tabular,
     TextArray,
     all_rows,
     as_numbers,
+    check_places,
+    check_segments,
     rows_at,
 )
-from termsel.data.tables.tabular import Tabular
-from termsel.data.values import check_places, check_segments
 
 ROLES = ("control", "check", "independent", "off")
 

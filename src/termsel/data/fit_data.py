@@ -16,8 +16,8 @@ from typing import Self
 import numpy as np
 
 from termsel.data.coordinates.metres import height_unit, plan_of
+from termsel.data.coordinates.places import Lattice, lattice_of
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray, Points
-from termsel.data.lattices import Lattice, lattice_of
 from termsel.data.scaling import Scaling, in_fit_crs, metres_of, scaling_of
 from termsel.data.view import CentralView, view_of
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import cached_property, lru_cache
@@ -11,12 +11,14 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from termsel.core.errors import TermselError, first_of, unknown_name
+from termsel.core.isolation.faults import blamed, wrong
 from termsel.data.coordinates.crs import LOCAL
-from termsel.data.coordinates.globe import on_globe
-from termsel.data.coordinates.longitudes import without_jump
+from termsel.data.coordinates.longitudes import on_globe, without_jump
+from termsel.data.coordinates.places import Lattice, lattice_of, spatial_order
 from termsel.data.features import (
     ROLES,
     FeatureSet,
+    FloatArray,
     IntArray,
     Lines,
     Points,
@@ -24,11 +26,191 @@ from termsel.data.features import (
     no_points,
 )
 from termsel.data.fit_data import FitData, carriers
-from termsel.data.lattices import Lattice, lattice_of
-from termsel.data.splits import ASSIGNABLE as ASSIGNABLE
-from termsel.data.splits import STRATIFIED, Split
-from termsel.data.tables.tabular import unchecked
-from termsel.data.twins import merged, twins
+from termsel.data.record.chances import quantile
+from termsel.data.tables.tabular import rows_at, unchecked
+
+# Points that lie closer to each other than they can tell anything apart: twins.
+#
+# Twins repeat one measurement. If one is control and the other independent, the second confirms
+# whatever was fitted to the first; if one is held out, the other predicts it.
+
+TWIN_DISTANCE = 0.01
+"""Distance of twins, by the side of the square that each point has for itself; of their heights,
+by the spread of all heights."""
+
+MAX_PAIRWISE_PLACES = 300
+"""Most places that are compared each with each: a tree takes longer to import than to search."""
+
+
+def twins(ground: FloatArray, typical: FloatArray | None = None) -> IntArray:
+    """Return which points (n, 3) are twins, by their place on the ground alone, shape (n,).
+
+    A number for each group, counted from 0 in the order of their first points. Points `typical` (m,
+    3), by default all, have the spread that decides what is near. NaN for heights that are not
+    known.
+    """
+    n = len(ground)
+    typical = ground if typical is None else typical
+    if n < 2 or len(typical) < 2:
+        return np.arange(n, dtype=np.intp)
+    positions = np.nan_to_num(ground)
+    typical = np.nan_to_num(typical)
+    # Half of the points span half of an even spread, wherever a few wild ones are.
+    low, high = (quantile(typical.T, share) for share in (0.25, 0.75))
+    # Distances of twins in X, Y and Z are 1 in these units.
+    unit = TWIN_DISTANCE * 2 * (high - low) * np.array([len(typical) ** -0.5] * 2 + [1.0])
+    rounding = np.finfo(float).eps * np.abs(positions).max(axis=0)
+    pairs = _near(positions / np.maximum(unit, np.maximum(rounding, np.finfo(float).tiny)))
+    if not len(pairs):
+        return np.arange(n, dtype=np.intp)
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    # Twins of twins are twins: the groups are the connected parts of the graph of near pairs.
+    edges = coo_array((np.ones(len(pairs)), pairs.T), shape=(n, n))
+    return np.asarray(connected_components(edges, directed=False)[1], dtype=np.intp)
+
+
+def _near(positions: FloatArray) -> IntArray:
+    """Return the pairs of positions (n, 3) that are at most 1 apart, shape (p, 2)."""
+    if len(positions) <= MAX_PAIRWISE_PLACES:
+        # Squared distances of all pairs, each pair once above the diagonal.
+        square = sum((axis[:, None] - axis) ** 2 for axis in positions.T)
+        return np.argwhere(np.triu(square <= 1.0, 1))
+    from scipy.spatial import KDTree
+
+    return np.asarray(KDTree(positions).query_pairs(1.0, output_type="ndarray"))
+
+
+def merged(features: FeatureSet) -> FeatureSet:
+    """Return features in which twins count as one point, at their mean.
+
+    Under id, role and attributes of the first of each group; the same object without twins.
+    """
+    points = features.points
+    labels = twins(points.ground)
+    first = np.unique(labels, return_index=True)[1]  # of each group
+    if len(first) == len(points):
+        return features
+    count = np.bincount(labels)[:, None]
+
+    def mean(values: FloatArray) -> FloatArray:
+        total = np.zeros((len(first), values.shape[1]))
+        np.add.at(total, labels, values)
+        return total / count
+
+    return features.with_(points=Points(
+        tuple(points.ids[i] for i in first), mean(points.image), mean(points.ground),
+        None if points.sigma is None else mean(points.sigma),
+        tuple(points.roles[i] for i in first), rows_at(points.attributes, first)))
+
+
+def with_twins(points: Points, ids: Iterable[str]) -> frozenset[str]:
+    """Return ids of points together with those of their twins."""
+    labels = twins(points.ground)
+    named = frozenset(ids)
+    twin_labels = {label for name, label in zip(points.ids, labels, strict=True) if name in named}
+    return frozenset(name for name, label in zip(points.ids, labels, strict=True)
+                     if label in twin_labels)
+
+
+def groups(ids: Sequence[str], labels: IntArray) -> list[tuple[str, ...]]:
+    """Return the ids of each group of two and more."""
+    by_label: dict[int, list[str]] = {}
+    for name, label in zip(ids, labels.tolist(), strict=True):
+        by_label.setdefault(label, []).append(name)
+    return [tuple(names) for names in by_label.values() if len(names) > 1]
+
+
+# Splits: how points that are assigned a role get it.
+
+ASSIGNABLE = ("control", "check", "independent")
+"""Roles in the order of their shares."""
+
+
+@dataclass(frozen=True)
+class Split:
+    """A named way to assign the roles control, check and independent.
+
+    Parameters
+    ----------
+    name, summary : str
+        The name is the value of ``--set roles=NAME``.
+    assign : callable
+        Takes the ids of n points, their ground coordinates (n, 3) in the CRS of the points, the
+        shares of the three roles (3,), which sum to 1, and a numpy.random.Generator; returns n
+        roles. It sees no image, so that no role depends on how well a point fits. With lines as
+        control the share of control is 0. Points at one place are one.
+    on_globe : bool
+        Whether the ground coordinates are longitude and latitude [deg], rounded, and height,
+        whatever the CRS of the points, so that no role depends on it. Those of a CRS that nothing
+        is known of stay as they are.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> split = termsel.Split("all", "All points are control.",
+    ...                       lambda ids, image, ground, rng: ["control"] * len(ids))
+    >>> split.name
+    'all'
+    """
+
+    name: str
+    summary: str
+    assign: Callable[[tuple[str, ...], FloatArray, FloatArray, np.random.Generator], Sequence[str]]
+    on_globe: bool = False
+
+    def roles(self, ids: tuple[str, ...], ground: FloatArray, shares: FloatArray,
+              rng: np.random.Generator) -> tuple[str, ...]:
+        """Return a role for each point; refuse, naming the plugin, what are none."""
+        with blamed(self.assign, "assign"):
+            assigned = self.assign(ids, ground.copy(), shares.copy(), rng)
+        if isinstance(assigned, str) or not isinstance(assigned, Sequence | np.ndarray) \
+                or len(assigned) != len(ids) or not set(map(str, assigned)) <= set(ASSIGNABLE):
+            raise wrong(self.assign, "assign", f"returned {assigned!r:.200}; expected a role for "
+                        f"each of {len(ids)} points: {', '.join(ASSIGNABLE)}")
+        return tuple(map(str, assigned))
+
+
+def stratified(_ids: tuple[str, ...], ground: FloatArray, shares: FloatArray,
+               rng: np.random.Generator) -> list[str]:
+    """Give neighbouring points different roles, so that each role covers the scene."""
+    return _in_turn(spatial_order(ground[:, :2]), shares, rng)
+
+
+def at_random(ids: tuple[str, ...], _ground: FloatArray, shares: FloatArray,
+              rng: np.random.Generator) -> list[str]:
+    """Draw roles without regard to place."""
+    return _in_turn(rng.permutation(len(ids)), shares, rng)
+
+
+def _in_turn(order: Sequence[int] | np.ndarray, shares: FloatArray,
+             rng: np.random.Generator) -> list[str]:
+    """Return a role for each place of an order, so that every stretch of it has all shares."""
+    # Each place in the order goes to the role that lags most behind its share; among roles
+    # that lag alike the draw decides, so that different seeds give different splits.
+    names = ASSIGNABLE
+    if not shares[0]:  # the same draws, whether points or lines are the control
+        names = (*names[1:], names[0])
+        shares = np.roll(shares, -1)
+    counts = np.zeros(3)
+    roles = [""] * len(order)
+    for turn, i in enumerate(order):
+        # What a role should have had by now, less what it has.
+        lag = shares * (turn + 1) - counts
+        lag = np.where(shares > 0, lag + rng.uniform(0.0, 0.5, 3), -np.inf)
+        role = int(np.argmax(lag))
+        counts[role] += 1
+        roles[i] = names[role]
+    return roles
+
+
+STRATIFIED = Split("stratified", "Neighbouring points get different roles, so that each role "
+                                 "covers"
+                   " the scene.", stratified, on_globe=True)
+SPLITS = (STRATIFIED, Split("random", "Roles are drawn at random, not by position.", at_random))
+"""Built-in splits."""
+
 
 THIRDS = (1 / 3, 1 / 3, 1 / 3)
 _NUMBER = re.compile(r"([0-9]+)")

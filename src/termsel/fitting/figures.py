@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from msgspec import UNSET
 
-from termsel.data.record.base import Role
-from termsel.data.record.figures import BaselineRow, Outlier, Rmse, RmseByRole, RoleRmse
+from termsel.adjustment.equations import line_normals
+from termsel.data.features import FloatArray, Lines, select
+from termsel.data.record.chances import t_beyond
+from termsel.data.record.figures import (
+    BaselineRow,
+    Outlier,
+    Rmse,
+    RmseByRole,
+    Role,
+    RoleRmse,
+    Significance,
+)
 from termsel.data.roles import Observations
 from termsel.fitting.fit import FIXED_COEFFICIENTS, Fit
 from termsel.fitting.residuals import Residuals, control_residuals, point_residuals
@@ -138,3 +148,51 @@ def residuals_of(fitted: Fit, observations: Observations, outliers: Iterable[Out
         replace(residual, blunder=certainty[residual.id]) if residual.id in certainty else residual
         for residual in residuals)
     return Residuals(marked, observations.control.crs)
+
+
+# What a fit says about its terms and its lines.
+
+NORMAL_MEDIAN = 0.6745
+"""Median absolute value of a standard normal variable."""
+
+CORRELATED = 0.95
+"""Absolute correlation of two coefficients from which on they are named."""
+
+PARALLEL = 0.05
+"""Orientation spread from which on lines fix both image axes; that of lines within 13 degrees."""
+
+
+def significance(fit: Fit) -> dict[str, Significance]:
+    """Return the significance of each term in use; empty without redundancy.
+
+    It is that of the adjustment as if the terms had been given. After a search among many it
+    is too favourable.
+    """
+    adjustment = fit.adjustment
+    if not adjustment.feasible or adjustment.redundancy <= 0:
+        return {}
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = np.abs(adjustment.coefficients) / adjustment.deviations
+    return {name: Significance(float(t[i]), t_beyond(float(t[i]), adjustment.redundancy))
+            for i, name in enumerate(fit.model.terms) if fit.terms[i] and np.isfinite(t[i])}
+
+
+def correlations(fit: Fit) -> Iterator[tuple[str, str, float]]:
+    """Yield pairs of terms whose coefficients correlate by CORRELATED or more, highest first."""
+    matrix = fit.adjustment.correlations
+    if matrix is None:
+        return
+    names = select(fit.model.terms, fit.terms)
+    high = np.argwhere(np.triu(np.abs(matrix) >= CORRELATED, 1))
+    for i, j in sorted(high.tolist(), key=lambda pair: -abs(matrix[pair[0], pair[1]])):
+        yield names[i], names[j], float(matrix[i, j])
+
+
+def orientation_spread(lines: Lines) -> float:
+    """Return how widely the directions of image lines, at least one, spread.
+
+    Twice the smaller eigenvalue of the mean of n n^T over the unit normals n: 1 where all
+    directions occur alike, 0 where all lines are parallel and fix one image axis alone.
+    """
+    normal: FloatArray = line_normals(lines)[0]
+    return float(max(0.0, 2.0 * np.linalg.eigvalsh(normal.T @ normal / len(normal))[0]))

@@ -13,16 +13,14 @@ from numpy.typing import ArrayLike
 
 from termsel.adjustment.equations import line_normals
 from termsel.adjustment.interpolation import Interpolation
-from termsel.adjustment.rounding import ROUNDING
-from termsel.adjustment.solve import Adjustment
+from termsel.adjustment.solve import ROUNDING, Adjustment
 from termsel.core.display import Glance
 from termsel.core.errors import TermselError
 from termsel.core.threads import one_blas_thread
 from termsel.data.extent import image_extent, reach
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Lines, Points
 from termsel.data.locate import Surface, locate
-from termsel.data.record.base import Settings
-from termsel.data.record.figures import Rmse
+from termsel.data.record.figures import Rmse, Settings
 from termsel.data.scaling import Scaling, scaling_of
 from termsel.data.view import CentralView, view_of
 from termsel.fitting.extrapolation import by_heights

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from termsel.adjustment.equations import line_normals
-from termsel.adjustment.parts import IndependentPart
+from termsel.adjustment.leave_out import IndependentPart
 from termsel.data.features import (
     BoolArray,
     FeatureSet,
@@ -20,8 +20,7 @@ from termsel.data.features import (
 )
 from termsel.fitting.losses import SQUARES, figure
 from termsel.models.base import SensorModel
-from termsel.models.poles import pole_margin
-from termsel.models.quotient import RationalModel
+from termsel.models.quotient import RationalModel, pole_margin
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +109,7 @@ class Fits:
         ndarray, shape (p, n)
             Of a point dl^2 + ds^2, of a line the sum of the squared distances of its ground
             vertices from the image line [px^2]; infinite if a denominator is below
-            `termsel.models.poles.pole_margin`.
+            `termsel.models.quotient.pole_margin`.
         """
         owner, ground = self._vertices
         # All vertices of the features held out; what the model corrects by is the control without

@@ -19,7 +19,7 @@ from termsel.fitting.fit import Fit
 from termsel.fitting.least_squares import fit
 from termsel.fitting.sky import part_said, refuse_sky
 from termsel.models.base import SensorModel
-from termsel.models.rational import RationalFunctions
+from termsel.models.quotient import RationalFunctions
 from termsel.models.terms import AXES, Term
 
 log = logging.getLogger(__name__)

@@ -24,8 +24,7 @@ from math import erfc
 import numpy as np
 
 from termsel.adjustment.bayesian.field import GaussianProcess
-from termsel.adjustment.bayesian.posterior import Posterior, polynomial_posterior
-from termsel.adjustment.bayesian.predicted_positions import predict_positions
+from termsel.adjustment.bayesian.posterior import Posterior, polynomial_posterior, predict_positions
 from termsel.adjustment.equations import weights_of
 from termsel.adjustment.solve import Adjustment
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points

@@ -12,7 +12,7 @@ import numpy as np
 from termsel.core.errors import TermselError, counted
 from termsel.core.options import Option
 from termsel.data.features import FloatArray, IntArray
-from termsel.data.values import places_in_words, repeated_places
+from termsel.data.tables.tabular import places_in_words, repeated_places
 
 log = logging.getLogger(__name__)
 

@@ -21,7 +21,7 @@ from termsel.data.coordinates.crs import (
     transformation,
 )
 from termsel.data.coordinates.longitudes import continuous
-from termsel.data.coordinates.utm import is_polar, metric_crs, polar_crs
+from termsel.data.coordinates.metres import is_polar, metric_crs, polar_crs
 from termsel.data.features import FloatArray
 from termsel.formats.heights import Dem, surface_of
 

@@ -19,8 +19,7 @@ from termsel.fitting.extrapolation import FAR_OUTSIDE, outside
 from termsel.formats.base import read_once
 from termsel.formats.heights import say_difference, surface_of
 from termsel.formats.readers.csv_tables import table_text
-from termsel.formats.readers.table import Table
-from termsel.formats.readers.tables import read_table
+from termsel.formats.readers.tables import Table, read_table
 
 if TYPE_CHECKING:
     from termsel.results.result import Result

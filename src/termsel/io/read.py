@@ -21,8 +21,7 @@ from termsel.core.isolation.parts import missing, parts
 from termsel.core.options import Option
 from termsel.data.coordinates.crs import LOCAL, normalise
 from termsel.data.coordinates.earth import say_turned, unknown_crs
-from termsel.data.coordinates.mixed import note_on_mixed
-from termsel.data.coordinates.plausible import check_ground
+from termsel.data.coordinates.plausible import check_ground, note_on_mixed
 from termsel.data.features import FeatureSet, no_lines, no_points
 from termsel.data.rpc import Rpc
 from termsel.data.tables.columns import LINES, OPTIONAL, POINTS, columns_text

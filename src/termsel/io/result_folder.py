@@ -30,8 +30,7 @@ from termsel.data.rpc import Rpc
 from termsel.formats.base import located, parse_json, read_text
 from termsel.formats.readers.csv_tables import LinesCsv, PointsCsv, lines_text, points_text
 from termsel.io.result_of_record import AGAIN, record_from, result_from
-from termsel.results.checksums import of_attributes, of_features, of_record
-from termsel.results.result import Result
+from termsel.results.result import Result, of_attributes, of_features, of_record
 
 RECORD, POINTS, LINES = "result.json", "points.csv", "lines.csv"
 RESIDUALS, SUMMARY = "residuals.csv", "summary.txt"

@@ -13,11 +13,10 @@ from termsel.core.errors import TermselError, printable
 from termsel.core.files.mismatches import KINDS_OF_JSON, mismatch_in_words
 from termsel.core.version import __version__
 from termsel.data.features import FeatureSet
-from termsel.data.record.base import plain
+from termsel.data.record.figures import plain
 from termsel.data.record.record import SCHEMA, PluginRecord, Record
-from termsel.data.roles import ASSIGNABLE, Observations, by_roles
+from termsel.data.roles import ASSIGNABLE, Observations, by_roles, merged
 from termsel.data.scaling import Scaling
-from termsel.data.twins import merged
 from termsel.fitting.figures import figures, in_role, number, residuals_of
 from termsel.fitting.fit import Estimator, Fit
 from termsel.fitting.method import Method

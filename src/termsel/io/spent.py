@@ -11,7 +11,7 @@ from msgspec import structs
 
 from termsel.core.errors import TermselError, first_of
 from termsel.data.features import Points
-from termsel.data.record.base import plain
+from termsel.data.record.figures import plain
 from termsel.data.record.record import Record
 from termsel.formats.base import parse_json, read_text
 from termsel.formats.readers.csv_tables import PointsCsv

@@ -1,12 +1,10 @@
 """Sensor models: ground to image, as named terms."""
 
 from termsel.models.base import SensorModel
-from termsel.models.helmert import Helmert2D
 from termsel.models.interpolating import Field, Field3D, ThinPlate
-from termsel.models.polynomial import Affine, Polynomial2D, Polynomial3D
+from termsel.models.polynomial import Affine, Helmert2D, Polynomial2D, Polynomial3D
 from termsel.models.projective import DLT2D, DLT3D, Projective2D
-from termsel.models.quotient import Blocks, RationalModel
-from termsel.models.rational import RationalFunctions
+from termsel.models.quotient import Blocks, RationalFunctions, RationalModel
 from termsel.models.terms import Term
 
 __all__ = [

@@ -14,8 +14,7 @@ from termsel.core.errors import TermselError, amount
 from termsel.core.options import Option
 from termsel.data.features import FeatureSet, FloatArray
 from termsel.data.monomials import Exponents, graded_exponents
-from termsel.models.helmert import plane_units
-from termsel.models.polynomial import Polynomial
+from termsel.models.polynomial import Polynomial, plane_units
 
 MAX_EXACT_SPLINE = 3000
 """Most points that a spline meets exactly: it has a kernel around each, and a matrix of all, whose

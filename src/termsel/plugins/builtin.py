@@ -12,7 +12,7 @@ from termsel.plugins.hookspecs import hookimpl
 
 if TYPE_CHECKING:
     from termsel.data.datasets import DatasetSpec
-    from termsel.data.splits import Split
+    from termsel.data.roles import Split
     from termsel.fitting.method import Method
     from termsel.formats.base import Reader, Writer
     from termsel.models import SensorModel
@@ -25,11 +25,10 @@ if TYPE_CHECKING:
 @hookimpl
 def termsel_models() -> Iterable[type[SensorModel]]:
     """Return the built-in sensor models."""
-    from termsel.models.helmert import Helmert2D
     from termsel.models.interpolating import Field, Field3D, ThinPlate
-    from termsel.models.polynomial import Affine, Polynomial2D, Polynomial3D
+    from termsel.models.polynomial import Affine, Helmert2D, Polynomial2D, Polynomial3D
     from termsel.models.projective import DLT2D, DLT3D, Projective2D
-    from termsel.models.rational import RationalFunctions
+    from termsel.models.quotient import RationalFunctions
 
     return [RationalFunctions, Polynomial2D, Polynomial3D, Affine, Projective2D, DLT2D, DLT3D,
             Helmert2D, ThinPlate, Field, Field3D]
@@ -96,7 +95,7 @@ def termsel_datasets() -> Iterable[DatasetSpec]:
 @hookimpl
 def termsel_splits() -> Iterable[Split]:
     """Return the built-in splits."""
-    from termsel.data.splits import SPLITS
+    from termsel.data.roles import SPLITS
 
     return SPLITS
 

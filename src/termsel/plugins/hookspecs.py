@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from termsel.core.isolation.parts import Part
     from termsel.core.options import Configurable
     from termsel.data.datasets import DatasetSpec
-    from termsel.data.splits import Split
+    from termsel.data.roles import Split
     from termsel.fitting.method import Method
     from termsel.formats.base import Reader, Writer
     from termsel.models import SensorModel

@@ -111,7 +111,7 @@ KINDS = {
     "methods": Kind("method", "termsel.fitting.method", "Method"),
     "matchers": Kind("matcher", "", "Matcher", must_start=True),
     "datasets": Kind("data set", "termsel.data.datasets", "DatasetSpec"),
-    "splits": Kind("split", "termsel.data.splits", "Split"),
+    "splits": Kind("split", "termsel.data.roles", "Split"),
     "sections": Kind("section", "termsel.results.extras", "ReportSection"),
     "measures": Kind("measure", "termsel.results.extras", "Measure"),
     "readers": Kind("reader", "termsel.formats.base", "Reader", must_start=True),

@@ -16,11 +16,20 @@ from termsel.core.isolation import parts
 from termsel.core.isolation.faults import package_of
 from termsel.core.isolation.parts import canonical
 from termsel.core.options import Configurable
-from termsel.plugins.calling import Taken, call, listed
 from termsel.plugins.commands import COMMANDS
 from termsel.plugins.hookspecs import PROJECT
 from termsel.plugins.kinds import KINDS, summary
-from termsel.plugins.loading import LISTENER, Loader, Plugin, Remark, Slot, attempt
+from termsel.plugins.loading import (
+    LISTENER,
+    Loader,
+    Plugin,
+    Remark,
+    Slot,
+    Taken,
+    attempt,
+    call,
+    listed,
+)
 from termsel.results.extras import sources
 
 if TYPE_CHECKING:

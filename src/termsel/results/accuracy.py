@@ -5,8 +5,7 @@ from __future__ import annotations
 from math import log
 from statistics import NormalDist
 
-from termsel.core.display.numbers import interval, rounded
-from termsel.core.errors import counted
+from termsel.core.errors import counted, interval, rounded
 from termsel.data.record.figures import (
     MANY_INDEPENDENT,
     Accuracy,

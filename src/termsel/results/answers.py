@@ -10,10 +10,8 @@ import platform
 from collections.abc import Iterator
 
 from termsel.auto.auto import MAX_EXACT_POINTS
-from termsel.core.display.numbers import rounded
-from termsel.core.errors import counted, first_of
-from termsel.data.record.base import plain
-from termsel.data.record.figures import Accuracy, InImage, OnGround, Predicted, RoleRmse
+from termsel.core.errors import counted, first_of, rounded
+from termsel.data.record.figures import Accuracy, InImage, OnGround, Predicted, RoleRmse, plain
 from termsel.data.record.record import Record
 from termsel.fitting.figures import LEAVE_ONE_OUT
 from termsel.results.accuracy import (
@@ -35,12 +33,11 @@ from termsel.results.blocks import (
     TableBlock,
 )
 from termsel.results.charts import bars, maps
-from termsel.results.compared import ROLE_WORDS, fits_of, label_of
 from termsel.results.first_screen import are_all_named, first_screen
 from termsel.results.plots import figure, missing
 from termsel.results.selected import selected
 from termsel.results.tables import sigma_table
-from termsel.results.verdict import contradicting, verdict_table
+from termsel.results.verdict import ROLE_WORDS, contradicting, fits_of, label_of, verdict_table
 from termsel.results.view import View
 
 EXACT_BELOW = 1e-9

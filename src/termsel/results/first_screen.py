@@ -7,8 +7,7 @@ from pathlib import PurePath
 from shlex import quote
 
 from termsel.auto.methods import BY_NAME
-from termsel.core.display.numbers import rounded
-from termsel.core.errors import amount, counted, cut, percent
+from termsel.core.errors import amount, counted, cut, percent, rounded
 from termsel.data.coordinates.crs import LOCAL, short
 from termsel.data.record.figures import (
     EXACTLY,
@@ -21,8 +20,14 @@ from termsel.data.record.figures import (
 from termsel.data.record.record import Record, WhatWasRead
 from termsel.results.accuracy import accuracy_lines, is_exact, lattice_of, reused_points
 from termsel.results.blocks import Fact
-from termsel.results.compared import are_alike, label_of, verdict_on_choice
-from termsel.results.verdict import off_option, size_of_errors, too_few_to_test
+from termsel.results.verdict import (
+    are_alike,
+    label_of,
+    off_option,
+    size_of_errors,
+    too_few_to_test,
+    verdict_on_choice,
+)
 
 SCREEN_LINES = 12
 """Lines of the first screen, the command that comes last included."""

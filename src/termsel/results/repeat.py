@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterator
 from itertools import chain
 
-from termsel.data.record.base import Value, plain
+from termsel.data.record.figures import Value, plain
 from termsel.data.record.record import Record
 from termsel.selection.problems.recipes import Recipe
 from termsel.selection.solvers.base import GIVEN

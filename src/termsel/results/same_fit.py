@@ -19,12 +19,17 @@ from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points
 from termsel.data.record.figures import AdjustmentFigures, Correlation, Predicted
 from termsel.data.record.record import FinalFit, FitRecord, Offered
 from termsel.data.scaling import Scaling
-from termsel.fitting.diagnosis import correlations, orientation_spread, significance
-from termsel.fitting.figures import finite_or_none, number
+from termsel.fitting.figures import (
+    correlations,
+    finite_or_none,
+    number,
+    orientation_spread,
+    significance,
+)
 from termsel.fitting.fit import Estimator, Fit, HeldOut
 from termsel.fitting.least_squares import LeastSquares
 from termsel.models.base import SensorModel
-from termsel.models.poles import guard_points, pole_margin, pole_violation
+from termsel.models.quotient import guard_points, pole_margin, pole_violation
 
 
 def numbers_of(fitted: Fit) -> dict[str, Any]:

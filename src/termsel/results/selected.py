@@ -9,14 +9,14 @@ from termsel.core.errors import amount, counted, percent
 from termsel.data.record.figures import SIGNIFICANT, AdjustmentFigures, RoleRmse, SensorFigure
 from termsel.data.record.record import Record
 from termsel.data.record.search import Certificate, Member, SizeRow, Strategy
-from termsel.fitting.diagnosis import CORRELATED
+from termsel.fitting.figures import CORRELATED
 from termsel.results import sizes
 from termsel.results.blocks import Block, Detail, Figure, Names, TableBlock
 from termsel.results.charts import search
-from termsel.results.compared import label_of
 from termsel.results.first_screen import share
 from termsel.results.plots import figure, missing
 from termsel.results.tables import OF_TERMS
+from termsel.results.verdict import label_of
 from termsel.results.view import View
 
 

@@ -10,20 +10,16 @@ from functools import cache
 import numpy as np
 from msgspec.structs import replace as changed
 
-from termsel.auto.auto import MAX_EXACT_POINTS, Auto
+from termsel.auto.auto import MAX_EXACT_POINTS, Auto, minimal_fit, minimal_view
 from termsel.auto.compare import compare
-from termsel.auto.exact import minimal_fit, minimal_view
-from termsel.auto.folds import folds_of
-from termsel.auto.rule import Choice, method_of
-from termsel.auto.validated import has_pole
+from termsel.auto.rule import Choice, folds_of, has_pole, method_of
 from termsel.core.errors import TermselError, counted
 from termsel.core.interrupts import answered
 from termsel.data.features import FloatArray, Points, no_points, select
 from termsel.data.fit_data import FitData
 from termsel.data.record.figures import Predicted, determined_exactly
 from termsel.data.record.search import CandidateRow, SearchLimits, Strategy
-from termsel.data.roles import ASSIGNABLE, Observations, leave_out, with_lines
-from termsel.data.twins import merged
+from termsel.data.roles import ASSIGNABLE, Observations, leave_out, merged, with_lines
 from termsel.fitting.accuracy import (
     pixel_on_ground,
     predicted_between,
@@ -36,11 +32,10 @@ from termsel.fitting.fit import Fit, Undetermined
 from termsel.models.base import SensorModel
 from termsel.plugins.registry import registry
 from termsel.runs.data_notes import notes_on_data, notes_on_dem
-from termsel.runs.finding import Finding
+from termsel.runs.finding import Finding, plugins_of
 from termsel.runs.judgement import best_conventional, judge_choice
-from termsel.runs.method_task import LEAST
-from termsel.runs.provenance import plugins_of
 from termsel.runs.request import Request
+from termsel.runs.task import LEAST
 from termsel.runs.verdict import Verdict, judge_features, judge_independent
 from termsel.selection.problems.base import Evaluation, Selection
 from termsel.selection.problems.recipes import Recipe

@@ -14,12 +14,12 @@ from termsel.data.features import FeatureSet
 from termsel.data.fit_data import FitData
 from termsel.data.roles import with_roles
 from termsel.fitting.fit import Fit
+from termsel.fitting.least_squares import control_of, fit_all_terms
 from termsel.fitting.method import Method
-from termsel.fitting.of_features import control_of, fit_all_terms
 from termsel.io.read import features_of
 from termsel.models.base import SensorModel, require_heights
 from termsel.plugins.registry import registry
-from termsel.runs.blank_heights import note_on_blank, to_leave_out
+from termsel.runs.request import note_on_blank, to_leave_out
 
 log = logging.getLogger(__name__)
 

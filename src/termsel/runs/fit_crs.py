@@ -22,8 +22,7 @@ from termsel.data.coordinates.crs import (
     transformation,
 )
 from termsel.data.coordinates.longitudes import continuous
-from termsel.data.coordinates.metres import is_in_degrees
-from termsel.data.coordinates.utm import is_polar, metric_crs, polar_crs
+from termsel.data.coordinates.metres import is_in_degrees, is_polar, metric_crs, polar_crs
 from termsel.data.features import FeatureSet, FloatArray
 from termsel.data.fit_data import FitData
 from termsel.data.roles import Observations

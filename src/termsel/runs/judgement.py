@@ -7,18 +7,16 @@ from collections.abc import Iterator
 import numpy as np
 
 from termsel.auto.methods import BY_NAME
-from termsel.core.display.numbers import rounded
-from termsel.core.errors import amount, counted
+from termsel.core.errors import amount, counted, rounded
 from termsel.data.record.figures import FEW_EVALUATIONS, MANY_INDEPENDENT, TOO_FEW
 from termsel.data.roles import Observations
-from termsel.fitting.diagnosis import PARALLEL, orientation_spread
 from termsel.fitting.extrapolation import warnings_of
-from termsel.fitting.figures import Baseline, Rmses
+from termsel.fitting.figures import PARALLEL, Baseline, Rmses, orientation_spread
 from termsel.fitting.fit import Fit
 from termsel.fitting.least_squares import fit
 from termsel.fitting.method import Method
 from termsel.plugins.registry import registry
-from termsel.results.compared import ALIKE_RATIO, times, verdict_on_choice
+from termsel.results.verdict import ALIKE_RATIO, times, verdict_on_choice
 from termsel.selection.criteria import Criterion
 from termsel.selection.problems.genome import Genome
 from termsel.selection.solvers.search import SearchResult

@@ -18,9 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from termsel.auto.auto import Auto
-from termsel.auto.folds import FOLDS_WITH_LINES
-from termsel.auto.rule import CLEAR_MARGIN, Choice
-from termsel.auto.validated import gain_of
+from termsel.auto.rule import CLEAR_MARGIN, FOLDS_WITH_LINES, Choice, gain_of
 from termsel.core.errors import TermselError
 from termsel.data.coordinates.places import spatial_order
 from termsel.data.features import FloatArray, Points

@@ -2,33 +2,169 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Mapping
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from msgspec import json
 
-from termsel.core.errors import TermselError, printable
+from termsel.auto.auto import Auto
+from termsel.auto.function import FunctionMethod
+from termsel.auto.memory import Memory
+from termsel.core.errors import TermselError, counted, first_of, printable
 from termsel.core.isolation.arrays import of_type
 from termsel.core.isolation.faults import blamed, wrong
-from termsel.core.options import SEED, Option, by_part, resolve
+from termsel.core.options import SEED, Configurable, Option, by_part, resolve
 from termsel.data.datasets import DatasetSpec
 from termsel.data.features import FeatureSet
-from termsel.data.roles import asked_roles, with_roles
-from termsel.data.splits import Split
+from termsel.data.fit_data import FitData, carriers
+from termsel.data.roles import Split, asked_roles, with_roles
+from termsel.fitting.method import Method
 from termsel.models.base import SensorModel
 from termsel.models.image_part import ImagePart
 from termsel.models.interpolating import Interpolating
 from termsel.plugins.kinds import KINDS
 from termsel.plugins.registry import registry
-from termsel.runs.blank_heights import to_leave_out
 from termsel.runs.fit_crs import FIT_CRS
-from termsel.runs.given import class_of, second_solver, with_options
 from termsel.selection.criteria import Criterion
 from termsel.selection.problems.constraints import MAX_SHARE, listed
+from termsel.selection.problems.objectives import Objective
 from termsel.selection.problems.recipes import Recipe, undeclared_options
 from termsel.selection.solvers.base import Solver
 from termsel.selection.solvers.budget import SEARCH_OPTIONS
+
+# What a run is given: parts by their class or as an instance, objectives by their names.
+
+def auto_of(method: str | Method | Callable[[FeatureSet], Any] | None,
+            memory: Memory | None = None) -> Auto:
+    """Return the choice by a method: its name, itself or a function; by default among all."""
+    if method is None or method == "auto":
+        return auto_of_all(memory)
+    if isinstance(method, Auto):
+        return method
+    # A plain function gets its own name in tables.
+    if callable(method) and not isinstance(method, Method | type):
+        name = getattr(method, "__name__", "function")
+        method = FunctionMethod(name, f"the function {name}", function=method)
+    if not isinstance(method, str | Method):
+        raise TermselError(f"{method!r:.60} is no method",
+                           hint="Give the name of one (termsel list methods), or a termsel.Method.")
+    methods = (registry().get("methods", method) if isinstance(method, str) else method,)
+    return Auto(methods=methods, memory=memory or Memory())
+
+
+def auto_of_all(memory: Memory | None = None) -> Auto:
+    """Return the choice among all methods but those on request.
+
+    Of two with one name it takes termsel's own, or the first.
+    """
+    methods = tuple(entry.object for entry in registry().entries("methods")
+                    if entry.name == entry.object.name and not entry.object.on_request)
+    return Auto(methods=methods, memory=memory or Memory())
+
+
+def class_of(component: type[Configurable] | Configurable) -> type[Configurable]:
+    """Return a class, or that of an instance."""
+    return component if isinstance(component, type) else type(component)
+
+
+def with_options(role: str, component: type[Configurable] | Configurable,
+                 options: Mapping[str, Any]) -> Any:
+    """Return an instance of a class, or the instance that is given, which takes no options.
+
+    `role` is what it is, such as "model".
+    """
+    # A class gets the options; an instance has been made with its own.
+    if isinstance(component, type):
+        try:
+            return component(**options)
+        except TermselError as error:
+            error.name = error.name or str(component.name)
+            raise
+    if options:
+        raise TermselError(f"option {next(iter(options))!r} is for the {role} {component.name!r}, "
+                           "which has its options already",
+                           hint=f"Give them with the name or the class of the {role}.",
+                           name=next(iter(options)))
+    return component
+
+
+def second_solver(recipe: Recipe, settings: Mapping[str, Any]) -> Any:
+    """Return the solver of the second of two steps as asked for, or the problem's; or None.
+
+    Given are the options of all parts. Refuses a solver, or options of one, where there is no
+    second step, or no solver of its own.
+    """
+    options = {option.name: option.default
+               for option in (*recipe.options, *undeclared_options(recipe))}
+    of_second_solver = [key for key in settings if key.startswith("then.")]
+    stated = next((settings[key] for key in ("then", "problem.then") if key in settings), None)
+    if "then" not in options:
+        if stated is not None or of_second_solver:
+            raise TermselError(
+                f"problem {recipe.name!r} has no steps, so no second step has a solver (--then)",
+                hint="Leave it out, or choose a problem of terms and features, such as "
+                     "owdis-lines-terms.")
+        return None
+    # Either plain, or with the part it is of: steps, problem.steps.
+    steps = next((settings[key] for key in ("steps", "problem.steps") if key in settings),
+                 options.get("steps"))
+    if steps == "joint" and (stated is not None or of_second_solver):
+        raise TermselError(
+            f"{of_second_solver[0] if stated is None else '--then'} is for the solver of the "
+            "second of two steps, and steps=joint has one",
+            hint="Add --set steps=features-first or steps=terms-first.")
+    solver = None if steps == "joint" else options["then"] if stated is None else stated
+    if of_second_solver and solver is None:
+        raise TermselError(f"{of_second_solver[0]} is for the solver of the second step, and "
+                           "--then names none",
+                           hint="Add --then NAME, such as --then pso.")
+    return solver
+
+
+def objectives_of(names_listed: str | None, criterion: Criterion) -> tuple[Objective, ...]:
+    """Return the objectives that an option names, each once, without the criterion.
+
+    The names are separated by commas; one that no objective has is refused.
+    """
+    # The criterion is the first objective already.
+    names = [name for name in dict.fromkeys(listed(names_listed)) if name != criterion.name]
+    return tuple(registry().get("objectives", name) for name in names)
+
+
+# Features without a height among others that have one: left out of models that use heights.
+
+def to_leave_out(features: FeatureSet) -> tuple[str, ...]:
+    """Return the features without a height, where a model that uses heights is still possible.
+
+    None where all have heights, most have none, or heights tell nothing. Those that are off take no
+    part.
+    """
+    off = {name for name, role in zip(features.points.ids, features.points.roles, strict=True)
+           if role == "off"}
+    missing = [name for name in features.without_height() if name not in off]
+    if not missing:
+        return ()
+    # What remains must tell what a height does, or leaving others out gains nothing.
+    with_heights = features.take(~np.isin(features.ids, [*missing, *off]))
+    # Independent points must not decide what is fitted.
+    deciding = with_heights.with_(points=with_heights.points.take(
+        [role != "independent" for role in with_heights.points.roles]))
+    return tuple(missing) if len(with_heights) > len(missing) and len(deciding) \
+        and not carriers(FitData.of(deciding, heights=False)) else ()
+
+
+def note_on_blank(ids: Sequence[str], features: FeatureSet) -> str:
+    """Return the note on features, of those as read, that were left out for want of a height."""
+    named = first_of(ids)
+    is_one = len(ids) == 1
+    takes, heights, them = ("takes", "its height", "it") if is_one else (
+        "take", "their heights", "them")
+    return (f"{counted(len(ids), features.word[:-1])} without a height {takes} no part, as the "
+            f"model uses heights: {named}. Give {heights}, or take {them} from a raster (--dem "
+            "FILE). A plane model (--model poly2d) requires none.")
+
 
 FILE = "file"
 """The roles of the file, in place of a split."""

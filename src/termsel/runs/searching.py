@@ -16,27 +16,25 @@ from termsel.auto.auto import Auto
 from termsel.auto.compare import compare_robustly
 from termsel.auto.memory import Memory
 from termsel.auto.refits import held_out_by_refits
-from termsel.auto.ridge import RidgeByOrder
+from termsel.auto.shrunken import RidgeByOrder
 from termsel.core.errors import TermselError, unknown_name
 from termsel.core.files.names import CERTIFICATE
 from termsel.core.isolation.faults import HINT, wrong
 from termsel.data.features import BoolArray, select
 from termsel.data.fit_data import FitData
-from termsel.data.record.base import plain
+from termsel.data.record.figures import plain
 from termsel.data.record.search import Certificate, Member, SearchLimits, SizeRow
 from termsel.data.roles import Observations
 from termsel.fitting.figures import Baseline, Rmses, baseline, rmse_record
 from termsel.fitting.fit import Fit, HeldOut
 from termsel.fitting.least_squares import fit
 from termsel.models.base import SensorModel
-from termsel.results.checksums import of_certificate
-from termsel.results.result import Result
+from termsel.results.result import Result, of_certificate
 from termsel.results.same_fit import has_pole, least_squares_of
 from termsel.runs.data_notes import notes_on_data, notes_on_dem
-from termsel.runs.finding import Finding, result_of
+from termsel.runs.finding import Finding, data_of, notes_on_sessions, plugins_of, result_of
 from termsel.runs.fit_crs import note_on_pole
 from termsel.runs.judgement import judge, name_conventional, notes_on
-from termsel.runs.provenance import data_of, notes_on_sessions, plugins_of
 from termsel.runs.request import Request, problem_for
 from termsel.runs.task import Task, prepare
 from termsel.runs.task_method import TaskMethod

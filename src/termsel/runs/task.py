@@ -10,32 +10,123 @@ from typing import Any
 
 import numpy as np
 
+from termsel.auto.auto import Auto
 from termsel.core.display import Glance
-from termsel.core.errors import TermselError, unknown_name
+from termsel.core.errors import TermselError, counted, unknown_name
 from termsel.core.isolation.faults import blamed
+from termsel.data.coordinates.crs import LOCAL, normalise, to_wgs84
+from termsel.data.coordinates.height_units import FOOT, UNITS
+from termsel.data.coordinates.places import lattice_of
 from termsel.data.datasets import DatasetSpec
-from termsel.data.features import FeatureSet
+from termsel.data.features import FeatureSet, FloatArray
 from termsel.data.fit_data import FitData, carriers
-from termsel.data.lattices import lattice_of
 from termsel.data.roles import Observations, check_as_control, parsed_shares
 from termsel.data.roles import observe as assign_roles
 from termsel.data.rpc import Rpc
 from termsel.data.scaling import Scaling, scaling_of
+from termsel.fitting.figures import orientation_spread
 from termsel.formats.rpc_files import with_rpc
 from termsel.io.read import features_of
 from termsel.models.base import SensorModel, require_heights
+from termsel.models.image_part import ImagePart, recognised
 from termsel.plugins.registry import registry
-from termsel.runs.enough import require_enough
-from termsel.runs.fit_crs import with_fit_crs
-from termsel.runs.given import objectives_of
-from termsel.runs.request import EQUAL_SHARES, FILE, Request, request_of, require_type, split_of
+from termsel.runs.fit_crs import with_fit_crs, with_polar
+from termsel.runs.request import (
+    EQUAL_SHARES,
+    FILE,
+    Request,
+    objectives_of,
+    request_of,
+    require_type,
+    split_of,
+)
 from termsel.selection.criteria import Criterion
 from termsel.selection.problems.base import Problem, ProblemData
 from termsel.selection.problems.constraints import without_heights
 from termsel.selection.problems.parameters import ParameterProblem
 from termsel.selection.problems.recipes import Recipe, options_of
 from termsel.selection.solvers.base import Solver
+from termsel.selection.solvers.heuristics.yardsticks import AllTerms
 from termsel.selection.solvers.search import require_able
+
+# Whether the features of a run are enough for its problem.
+
+MIN_CHECK = 2
+
+ALL_PARALLEL = 1e-4
+"""Orientation spread below which control lines are taken for parallel: within half a degree."""
+
+
+CORRECTED = (" Or leave the rest out: termsel run --points FILE --rpc FILE corrects a vendor's RPC "
+             "by one point or more.")
+
+
+def require_enough(observations: Observations, recipe: Recipe, criterion: Criterion,
+                   model: SensorModel, fewest: int) -> None:
+    """Refuse data for a problem: too few features, all in one place, or lines in one direction.
+
+    `fewest` is the fewest control features.
+    """
+    control = observations.control
+    check = observations.check
+    if len(control) < fewest:
+        others = _others(observations)
+        raise TermselError(
+            f"{_given(control)}{others}; {recipe.name} needs at least {fewest}",
+            hint=("Measure more, or give more features the role control." if others
+                  else "Measure more.")
+                 + " Or choose by leave-one-out, without selection points: --criterion press."
+                 * criterion.needs_check
+                 + CORRECTED * ("rpc" in model.options))
+    if criterion.needs_check and len(check) < MIN_CHECK:
+        raise TermselError(
+            f"{_number(len(check), 'selection point')} (role check); the criterion "
+            f"{criterion.name} needs at least {MIN_CHECK}",
+            hint="Give more points the role check: they choose among selections. Or choose by "
+                 "leave-one-out, without selection points: --criterion press.")
+    # The geometry of control matters where nothing else determines the model.
+    if fewest == 1:
+        return  # what is known of the image makes up for what they do not determine
+    if not np.ptp(control.image_vertices(), axis=0).any():
+        raise TermselError("all control features have the same place in the image",
+                           hint="Check that the columns line and sample hold image coordinates.")
+    if not np.ptp(control.ground_vertices()[:, :2], axis=0).any():
+        raise TermselError(
+            f"all {counted(len(control), 'control feature')} have the same place on the ground",
+            hint="Check that the columns x and y hold the position of each feature.")
+    # The singular values of centred plan coordinates: the second is 0 on one straight line.
+    spread = np.linalg.svd(control.ground_vertices()[:, :2]
+                           - control.ground_vertices()[:, :2].mean(axis=0), compute_uv=False)
+    if len(control) > 2 and spread[1] < 1e-6 * spread[0]:
+        raise TermselError("all control features lie on one straight line on the ground",
+                           hint="Add control away from that line: a model needs an area.")
+    # Lines measure across themselves alone.
+    if not len(control.points) and orientation_spread(control.lines) < ALL_PARALLEL:
+        raise TermselError(
+            "all control lines are parallel in the image, so nothing is measured along them",
+            hint="Add lines of another direction, or control points with --set mixed=true.")
+
+
+def _given(control: FeatureSet) -> str:
+    """Return how many control features there are, such as "1 control point"."""
+    noun = control.word.removesuffix("s")
+    return _number(len(control), f"control {noun}")
+
+
+def _others(observations: Observations) -> str:
+    """Return which points are not control, where some are, such as ", next to 1 selection point".
+    """
+    kinds = ((observations.check, "selection point"),
+             (observations.independent, "independent check point"))
+    others = [counted(len(features), noun) for features, noun in kinds if len(features)]
+    if observations.off:
+        others.append(f"{counted(len(observations.off), 'feature')} with the role off")
+    return f", next to {' and '.join(others)}" if others else ""
+
+
+def _number(number: int, noun: str) -> str:
+    return f"only {counted(number, noun)}" if number else f"no {noun}s"
+
 
 MIN_CONTROL = 3
 
@@ -346,3 +437,142 @@ def _check_as(request: Request, observations: Observations) -> str:
     """Return what selection points are, where the option does not say: judges or control."""
     judging = request.criterion.needs_check or not len(observations.control.points)
     return request.options["data"]["check_as"] or ("judge" if judging else "control")
+
+
+# The RPC that is given with the features: of which image it is, and whether it can be used.
+
+_OUTSIDE = 2.0
+"""Half ranges of the RPC's heights from their middle beyond which heights are surely outside."""
+_NEARER = 0.5
+"""Part of the distance to the measured places that feet must leave."""
+
+
+def part_of_rpc(control: FeatureSet) -> ImagePart | None:
+    """Return what the image of control is of that of its RPC, if this is another one.
+
+    Raises TermselError if the heights of control refer to another surface than the ellipsoid, and
+    PROJ cannot convert them.
+    """
+    rpc = control.rpc
+    if rpc is None or normalise(control.crs) == LOCAL:
+        return None
+    # Heights that are not known say nothing of the place in the RPC.
+    points = control.points.take(np.isfinite(control.points.ground).all(axis=1))
+    try:
+        positions = to_wgs84(control.crs)(points.ground)
+    except TermselError as error:
+        raise TermselError(f"the RPC takes ellipsoidal heights, and {error.what}",
+                           hint=error.hint) from error
+    # Before the part is recognised: wrong units look like another part.
+    _refuse_feet(rpc, positions, points.image)
+    with np.errstate(all="ignore"):
+        return recognised(rpc.project(positions), points.image)
+
+
+def _refuse_feet(rpc: Rpc, positions: FloatArray, image: FloatArray) -> None:
+    """Refuse heights that the RPC holds as feet alone, and sees the points by much better.
+
+    As metres they move the points, and another part of the image would seem to explain that.
+    """
+    if not len(positions):
+        return
+    # The range of an RPC is its offset plus and minus its scale.
+    middle = rpc.ground_offset[2]
+    half = rpc.ground_scale[2]
+    in_metres = positions * [1.0, 1.0, UNITS[FOOT]]
+    metres, feet = (float(np.median(heights)) for heights in (in_metres[:, 2], positions[:, 2]))
+    # Plausible as metres, or implausible as feet: then there is nothing to refuse.
+    if abs(feet - middle) <= _OUTSIDE * half or abs(metres - middle) > half:
+        return
+    with np.errstate(all="ignore"):
+        distances = [np.linalg.norm(rpc.project(ground) - image, axis=1)
+                     for ground in (positions, in_metres)]
+        as_read, converted = (float(np.nanmedian(lengths)) for lengths in distances)
+    # Feet must explain at least half of the distance, or something else is wrong.
+    if converted < as_read * _NEARER:
+        raise TermselError(
+            f"the heights of the control, {feet:,.0f} m (median), are outside those of the RPC, "
+            f"{middle - half:,.0f} to {middle + half:,.0f} m. As feet they are inside, and the RPC "
+            f"sees the points {converted:,.0f} px from where they were measured, in place of "
+            f"{as_read:,.0f} px", hint="State the unit of z: --set z_unit=ft (or us-ft).")
+
+
+def with_part(request: Request, image_part: ImagePart) -> Request:
+    """Return a request whose RPC is that of the part."""
+    rpc = request.features.rpc
+    assert rpc is not None
+    features = replace(request.features, rpc=image_part.rpc(rpc))
+    return replace(request, features=features, rpc_part=image_part)
+
+
+# The task of a method that needs no search: all control and selection points, in their roles.
+
+LEAST = 2
+"""Control points without which there is no answer."""
+
+
+def request_of_method(problem: str | Recipe, *, options: Any = None, **arguments: Any) -> Request:
+    """Return what is asked for where a method answers a problem, in place of the problem's search.
+
+    `arguments` are features, data set, source and model, as for `request_of`. The criterion needs
+    no selection points, as the method is fitted to them as to control, and yet shows their figures;
+    points go together with lines.
+
+    Raises
+    ------
+    TermselError
+        As `request_of`.
+    """
+    options = {"check_as": "judge", **(options or {})}
+    if registry().taken("problems", problem).control == "lines":
+        options["mixed"] = True
+    request = request_of(problem, **{
+        **arguments, "criterion": "press", "solver": AllTerms, "options": options})
+    if request.recipe.search_first and request.features.without_height():
+        # The model of the search is not asked for, so that it asks for no heights.
+        request = replace(request, model=registry().get("models", "poly2d")())
+    return with_shares(request, auto=True)
+
+
+def task_of_method(request: Request, auto: Auto) -> Task:
+    """Return the task of a method: features in their roles, and the part of an image an RPC is of.
+
+    Parameters
+    ----------
+    request : Request
+        As `request_of_method` returns it.
+    auto : Auto
+        The choice among the methods that are to be fitted.
+
+    Raises
+    ------
+    TermselError
+        If the features are too few, or their heights not those of the RPC.
+    """
+    fewest = fewest_features(request.features, auto)
+    observations = observe(request, fewest)
+    # The image may be a part, or a coarser copy, of that of its RPC, as control tells; roles are
+    # assigned again then, as the RPC has moved.
+    image_part = part_of_rpc(observations.together)
+    if image_part is not None:
+        request = with_part(request, image_part)
+        observations = observe(request, fewest)
+    return Task(request, with_polar(observations))
+
+
+def fewest_features(features: FeatureSet, auto: Auto) -> int:
+    """Return the fewest features to choose by: one where something is known of the image."""
+    if features.rpc is not None:
+        return 1
+    # Independent points must not decide whether the others are enough.
+    in_use = np.array([role not in ("independent", "off") for role in features.points.roles]
+                      + [True] * len(features.lines.features), dtype=bool)
+    if not 0 < in_use.sum() < LEAST:
+        return LEAST
+    return min(LEAST, auto.fewest(FitData.of(features.take(in_use))))
+
+
+def require_alone(method: object, words: list[str]) -> None:
+    """Refuse a method next to what is asked for of a search, in words."""
+    if method is not None and words:
+        raise TermselError(f"a method is asked for, and {words[0]}", hint="Leave one of them out.")

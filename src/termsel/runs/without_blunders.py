@@ -14,10 +14,9 @@ from termsel.auto.auto import Auto
 from termsel.core.errors import TermselError
 from termsel.data.features import select
 from termsel.data.roles import leave_out
-from termsel.runs.enough import require_enough
 from termsel.runs.recommend import recommended
 from termsel.runs.steps import search_in_steps
-from termsel.runs.task import MIN_CONTROL, Task, checked
+from termsel.runs.task import MIN_CONTROL, Task, checked, require_enough
 from termsel.runs.verdict import Verdict, judge_features
 from termsel.selection.problems.segments import Bits, Subset
 from termsel.selection.problems.selection import SelectionProblem

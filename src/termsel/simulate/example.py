@@ -11,7 +11,7 @@ import numpy as np
 
 from termsel.data.features import FeatureSet, FloatArray, Points
 from termsel.data.rpc import Rpc
-from termsel.fitting.of_features import fit_all_terms
+from termsel.fitting.least_squares import fit_all_terms
 from termsel.fitting.rpc_fit import rpc_of
 from termsel.models.polynomial import Polynomial3D
 from termsel.simulate.orbit import pushbroom_at

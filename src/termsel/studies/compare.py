@@ -22,8 +22,8 @@ from termsel.data.features import FeatureSet
 from termsel.io.export import writer_of
 from termsel.io.result_folder import RECORD
 from termsel.plugins.registry import registry
+from termsel.runs.finding import versions
 from termsel.runs.notebook import line_of_many
-from termsel.runs.provenance import versions
 from termsel.studies.cells.cell import Cell, cells_of, kind_of
 from termsel.studies.cells.folder import PLAN, keys_by_labels, write_plan
 from termsel.studies.cells.images import IMAGES, folders_of, write_files

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from termsel.core.errors import TermselError, unknown_name
 from termsel.core.isolation.calls import unguarded
-from termsel.core.isolation.inside import TooSlow, within
+from termsel.core.isolation.faults import TooSlow, within
 from termsel.core.options import Configurable
 from termsel.plugins.kinds import KINDS, summary
 

@@ -6,7 +6,7 @@ from termsel.data.coordinates.crs import normalise
 from termsel.data.coordinates.plausible import check_ground
 from termsel.data.datasets import DatasetSpec
 from termsel.data.features import FeatureSet
-from termsel.results.checksums import of_features
+from termsel.results.result import of_features
 from termsel.testing.cases import Case, Suite, declares, pickled, require
 
 

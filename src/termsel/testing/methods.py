@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from termsel.auto.validated import validated
+from termsel.auto.rule import validated
 from termsel.data.features import FeatureSet, Points
 from termsel.data.fit_data import FitData
 from termsel.fitting.fit import Fit, HeldOut, Undetermined

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from termsel.data.splits import Split
+from termsel.data.roles import Split
 from termsel.testing.cases import Case, Suite, declares, pickled, require, require_unchanged
 from termsel.testing.scenes import numbered
 

@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 from termsel.core.errors import TermselError
 from termsel.data.features import FeatureSet, Points
 from termsel.formats.base import Writer
-from termsel.models.rational import RationalFunctions
+from termsel.models.quotient import RationalFunctions
 from termsel.results.result import Result
 from termsel.runs.searching import assessed
 from termsel.runs.task import prepare

@@ -5,7 +5,6 @@ from termsel.results.blocks import Fact as Fact
 from termsel.results.blocks import Figure as Figure
 from termsel.results.blocks import Section as Section
 from termsel.results.charts.search import with_unit as with_unit
-from termsel.results.compared import label_of as label_of
 from termsel.results.first_screen import first_screen as first_screen
 from termsel.results.page import page as page
 from termsel.results.plots import save as save
@@ -24,5 +23,6 @@ from termsel.results.theme import chart_rows as chart_rows
 from termsel.results.theme import require_altair as require_altair
 from termsel.results.theme import spread_scale as spread_scale
 from termsel.results.theme import styled as styled
+from termsel.results.verdict import label_of as label_of
 from termsel.results.view import View as View
 from termsel.results.view import nice as nice

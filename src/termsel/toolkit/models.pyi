@@ -16,7 +16,7 @@ from termsel.data.record.figures import Predicted as Predicted
 from termsel.data.record.figures import Rmse as Rmse
 from termsel.data.record.search import TermFrequencies as TermFrequencies
 from termsel.data.roles import ASSIGNABLE as ASSIGNABLE
-from termsel.data.twins import twins as twins
+from termsel.data.roles import twins as twins
 from termsel.data.view import view_of as view_of
 from termsel.fitting.accuracy import ASPRS_POINTS as ASPRS_POINTS
 from termsel.fitting.accuracy import NSSDA_POINTS as NSSDA_POINTS
@@ -41,6 +41,6 @@ from termsel.fitting.scene import errors_on_ground as errors_on_ground
 from termsel.fitting.sky import ground_where_held as ground_where_held
 from termsel.fitting.sky import image_places as image_places
 from termsel.fitting.sky import refuse_sky as refuse_sky
-from termsel.models.poles import guard_points as guard_points
-from termsel.models.poles import pole_margin as pole_margin
-from termsel.models.poles import pole_violation as pole_violation
+from termsel.models.quotient import guard_points as guard_points
+from termsel.models.quotient import pole_margin as pole_margin
+from termsel.models.quotient import pole_violation as pole_violation

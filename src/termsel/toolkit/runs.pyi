@@ -4,8 +4,8 @@ from termsel.core.interrupts import INTERRUPTED as INTERRUPTED
 from termsel.core.interrupts import answered as answered
 from termsel.core.isolation.arrays import of_shape as of_shape
 from termsel.core.isolation.faults import wrong as wrong
+from termsel.runs.finding import versions as versions
 from termsel.runs.notebook import notebook_observer as notebook_observer
-from termsel.runs.provenance import versions as versions
 from termsel.runs.recommend import recommended as recommended
 from termsel.runs.request import DATA_OPTIONS as DATA_OPTIONS
 from termsel.runs.request import Request as Request

@@ -29,8 +29,8 @@ from termsel.adjustment.bayesian.kernels import EIGENVALUE_JITTER, SplineColumns
 from termsel.adjustment.equations import weights_of
 from termsel.adjustment.solve import TOLERANCE
 from termsel.data.features import FloatArray, Points
-from termsel.data.measurements import Measurements
 from termsel.data.monomials import graded_exponents, monomials
+from termsel.data.view import Measurements
 
 AFFINE_EXPONENTS = graded_exponents(1, 2)
 

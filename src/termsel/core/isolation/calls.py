@@ -8,8 +8,7 @@ from contextvars import ContextVar
 from functools import cached_property, wraps
 from typing import Any, ClassVar
 
-from termsel.core.isolation.faults import OWN, blamed, package_of, wrong
-from termsel.core.isolation.inside import inside
+from termsel.core.isolation.faults import OWN, blamed, inside, package_of, wrong
 
 Check = Callable[..., str | None]
 """Takes the object, what a method returned and the method's arguments; returns what is wrong with

@@ -24,8 +24,8 @@ from termsel.data.coordinates.crs import (
 )
 from termsel.data.coordinates.longitudes import continuous
 from termsel.data.coordinates.metres import in_metres
+from termsel.data.coordinates.places import lattice_of
 from termsel.data.features import FeatureSet, FloatArray
-from termsel.data.lattices import lattice_of
 from termsel.data.record.chances import median
 
 log = logging.getLogger(__name__)

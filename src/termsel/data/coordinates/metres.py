@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from math import ceil
 
 import numpy as np
 
+from termsel.core.errors import TermselError
 from termsel.data.coordinates.crs import (
+    EARTH,
+    body_of,
     ellipsoid_of,
+    geodetic_of,
+    horizontal,
     is_geocentric,
     is_geographic,
     metres_per_height,
     metres_per_unit,
+    transformation,
 )
 from termsel.data.features import FloatArray
 
@@ -65,3 +72,93 @@ def _kind(crs: str) -> tuple[bool, bool, float | None, float]:
     It is asked at every fit, and pyproj takes its time.
     """
     return is_geographic(crs), is_geocentric(crs), metres_per_unit(crs), metres_per_height(crs)
+
+
+# Coordinates in metres for a place: zones of UTM, and their like on other bodies.
+
+SOUTH_POLAR, NORTH_POLAR = "EPSG:3031", "EPSG:3413"
+"""Polar stereographic projections in metres of the Antarctic and the Arctic."""
+
+POLAR, TURNING = 60.0, 10.0
+"""Latitude beyond which, and difference of longitudes [deg] from which on, a scene is polar."""
+
+
+def metric_crs(crs: str, lon: float, lat: float) -> str:
+    """Return a CRS in metres around a place [deg], whose longitude may go on beyond 180 degrees.
+
+    The zone of UTM; on another body than the Earth, that of `crs`, a transverse Mercator projection
+    about the whole degrees next to the place.
+    """
+    lon = (lon + 180) % 360 - 180
+    if body_of(crs) != EARTH:
+        return _transverse_mercator(crs, round(lon), round(lat))
+    if not -80 <= lat <= 84:
+        raise TermselError(f"no UTM zone contains longitude {lon:.6g}, latitude {lat:.6g}",
+                           hint="UTM goes from 80 S to 84 N: name a projected CRS, --fit-crs "
+                                "EPSG:n, such as EPSG:3031 or EPSG:3413.")
+    # On a border the zone to the west, as PROJ's list of zones says; asking it takes 0.1 s.
+    return f"EPSG:{(32600 if lat >= 0 else 32700) + max(ceil((lon + 180) / 6), 1)}"
+
+
+@lru_cache
+def _transverse_mercator(crs: str, lon: int, lat: int) -> str:
+    """Return a transverse Mercator projection about a place as WKT."""
+    from pyproj import CRS
+    from pyproj.crs import ProjectedCRS
+    from pyproj.crs.coordinate_operation import TransverseMercatorConversion
+
+    return str(ProjectedCRS(
+        TransverseMercatorConversion(lat, lon), name=f"Transverse Mercator about {lat}, {lon}",
+        geodetic_crs=CRS(geodetic_of(crs)).to_2d()).to_wkt())
+
+
+def polar_crs(crs: str, lat: float) -> str:
+    """Return a polar stereographic CRS in metres for the pole next to a place [deg].
+
+    On the Earth those of the Antarctic and the Arctic; on another body one with true scale at the
+    pole, of its geographic CRS.
+    """
+    if body_of(crs) == EARTH:
+        return SOUTH_POLAR if lat < 0 else NORTH_POLAR
+    return _polar_stereographic(crs, 90 if lat >= 0 else -90)
+
+
+@lru_cache
+def _polar_stereographic(crs: str, latitude: int) -> str:
+    """Return a stereographic projection about a pole as WKT."""
+    from pyproj import CRS
+    from pyproj.crs import ProjectedCRS
+    from pyproj.crs.coordinate_operation import PolarStereographicAConversion
+
+    return str(ProjectedCRS(
+        PolarStereographicAConversion(latitude, 0.0), name=f"Polar stereographic at {latitude}",
+        geodetic_crs=CRS(geodetic_of(crs)).to_2d()).to_wkt())
+
+
+def is_polar(positions: FloatArray) -> bool:
+    """Return whether positions, as longitudes and latitudes [deg], lie around a pole.
+
+    There meridians turn by much within a scene, so that degrees are no plane coordinates: by more
+    than `TURNING` from one end to the other, next to a pole (beyond `POLAR`); or UTM has no zone.
+    """
+    lon = positions[:, 0]
+    lat = positions[:, 1]
+    if not len(lat) or lat.min() * lat.max() <= 0:
+        return False
+    nearest = np.abs(lat).min()
+    turning = np.ptp(lon) > TURNING
+    return bool(nearest > POLAR and turning) or bool(lat.max() > 84.0 or lat.min() < -80.0)
+
+
+def for_warping(ground: FloatArray, crs: str) -> tuple[FloatArray, str]:
+    """Return ground coordinates (..., 3), and the CRS without heights, for GDAL's warper."""
+    # It does not find places whose longitudes go on beyond 180 degrees: these come in UTM.
+    if not is_geographic(crs) or not (np.abs(ground[..., 0]) > 180.0).any():
+        return ground, horizontal(crs)
+    lon, lat = (float(np.nanmin(ground[..., i]) + np.nanmax(ground[..., i])) / 2 for i in (0, 1))
+    zone = metric_crs(crs, lon, lat)
+    # GDAL takes heights as they are, and blank places as no places.
+    turned = transformation(horizontal(crs), zone)(ground.reshape(-1, 3))
+    turned[:, 2] = ground[..., 2].ravel()
+    turned[np.isnan(ground[..., 0]).ravel()] = np.nan
+    return turned.reshape(ground.shape), zone

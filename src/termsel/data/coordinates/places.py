@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import product
+
 import numpy as np
 from numpy.typing import ArrayLike
 
-from termsel.data.features import FeatureSet, FloatArray, IntArray
+from termsel.data.features import FeatureSet, FloatArray, IntArray, Points
 
 AREA_ROUNDING = 1e-14
 """Twice the area of a triangle in a box of side 1 whose corners lie on one line. Large coordinates
@@ -93,3 +98,177 @@ def hull(positions: FloatArray) -> list[int]:
             chain.append(i)
         corners += chain[:-1]
     return corners if len(corners) > 2 else []
+
+
+# Lattices: points on regular lines and columns of an image, which were computed and not measured.
+#
+# Processors of satellite images put such lattices into their files: the line and sample of each
+# point are round, its place on the ground follows from the geometry of the image and a DEM. They
+# have no blunders, and what neighbours on a line predict of each other says nothing of the places
+# between two lines. Somebody may measure points at regular places of an image, too, as matching
+# does; such points have errors, which lattices have not: along a line the ground of a lattice is
+# smooth, but for what its heights do.
+
+MIN_LATTICE_LINES = 4
+"""Lines, and columns, of the smallest lattice."""
+
+FILLED = 0.5
+"""Least part of the places of a lattice that have a point."""
+
+ROUND = 1e-3
+"""Distance up to which image coordinates are those of one line or column [px]."""
+
+SMOOTH = 0.05
+"""Noise of the ground along lines up to which it was computed [px]: nobody measures so well."""
+
+_MARGIN = 1.5
+"""By which noise may be larger than that of rounding alone."""
+
+_RUN = 5
+"""Neighbours by which noise is told: a cubic polynomial goes through all but one of them."""
+
+_TERMS = 19
+"""Smooth columns, which tell what curvature and heights do."""
+
+_ENOUGH = 3 * _TERMS
+"""Runs from which on they tell the noise; with fewer, being regular is enough."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lattice:
+    """Which line and which column of a lattice each of n points is on, counted from 0."""
+
+    line: IntArray
+    column: IntArray
+
+    @property
+    def lines(self) -> int:
+        """Number of lines."""
+        return int(self.line.max()) + 1
+
+    @property
+    def columns(self) -> int:
+        """Number of columns."""
+        return int(self.column.max()) + 1
+
+    def take(self, rows: IntArray) -> Lattice:
+        """Return the lines and columns of some of the points, by their numbers."""
+        return Lattice(self.line[rows], self.column[rows])
+
+    def sentence(self, *, known: bool = False) -> str:
+        """Say what the points are, and what would be better where their geometry is not known."""
+        description = (f"The {len(self.line)} points are a lattice of {self.lines} lines and "
+                       f"{self.columns} columns of the image: computed, not measured.")
+        return description if known else (
+            f"{description} The accuracy is that of interpolation between them, found without "
+            "whole lines and columns, and not that of the product. The geometry that they were "
+            "computed by, as in the annotation of a radar image or an RPC, would be exact between "
+            "them, too: give it if you have it.")
+
+
+@lru_cache(maxsize=8)
+def lattice_of(points: Points) -> Lattice | None:
+    """Return the lattice that points are, or None if they are none."""
+    if len(points) < MIN_LATTICE_LINES**2 or points.sigma is not None:
+        return None
+    # Lines and columns are the values that occur, each once at every crossing.
+    line = _numbered(points.image[:, 0])
+    column = _numbered(points.image[:, 1])
+    lines = int(line.max()) + 1
+    columns = int(column.max()) + 1
+    if min(lines, columns) < MIN_LATTICE_LINES or len(points) < FILLED * lines * columns \
+            or len(np.unique(line * columns + column)) < len(points):
+        return None
+    lattice = Lattice(line, column)
+    noise = _noise(points, lattice)
+    return lattice if noise is None or noise <= np.hypot(SMOOTH, _rounding(points)) else None
+
+
+def _numbered(values: FloatArray) -> IntArray:
+    """Return the rank of each value among those that differ."""
+    order = np.argsort(values, kind="stable")
+    ranks = np.empty(len(values), dtype=np.intp)
+    ranks[order] = np.concatenate([[0], np.cumsum(np.diff(values[order]) > ROUND)])
+    return ranks
+
+
+def _noise(points: Points, lattice: Lattice) -> float | None:
+    """Return the noise of the ground along lines [px]; None where too few neighbours tell it.
+
+    In each run of neighbours on a line, weights take out a cubic polynomial of the sample. Of a
+    smooth geometry they leave of longitude and latitude what they leave of smooth columns.
+    """
+    runs = np.array(list(_runs(lattice)), dtype=np.intp).reshape(-1, _RUN)
+    if len(runs) < _ENOUGH:
+        return None
+    weights = _without_cubic(points.image[runs, 1])
+    columns = np.einsum("rn,rnk->rk", weights, _smooth_columns(points)[runs])
+    plan = points.ground[:, :2] - points.ground[:, :2].mean(axis=0)
+    residuals = np.einsum("rn,rnk->rk", weights, plan[runs])
+    residuals -= columns @ np.linalg.lstsq(columns, residuals)[0]
+    freedom = len(runs) - np.linalg.matrix_rank(columns)
+    # Of noise that is independent in all points the weights, whose squares sum to 1, leave as much.
+    noise = np.sqrt((residuals**2).sum(axis=0) / freedom)
+    return _in_pixels(points, noise)
+
+
+def _rounding(points: Points) -> float:
+    """Return the noise [px] of places that are stored in 32 bits; 0 of more precise ones.
+
+    Degrees in 32 bits are up to half a metre from the next.
+    """
+    plan = points.ground[:, :2]
+    single = plan.astype(np.float32)
+    if not np.array_equal(single.astype(np.float64), plan):
+        return 0.0
+    # Rounding errors are even between half a step less and more: of the variance step^2 / 12.
+    steps = np.spacing(np.abs(single).max(axis=0)).astype(np.float64)
+    return (_in_pixels(points, steps / np.sqrt(12.0)) or 0.0) * _MARGIN
+
+
+def _in_pixels(points: Points, noise: FloatArray) -> float | None:
+    """Return noise of x and of y on the ground as that of line or sample [px], None of a line."""
+    # The affine map from the image to the ground turns noise on the ground into pixels.
+    columns = np.column_stack([np.ones(len(points)), points.image])
+    pixels = np.linalg.lstsq(columns, points.ground[:, :2])[0][1:]
+    if abs(np.linalg.det(pixels)) == 0.0:
+        return None
+    return float(np.linalg.norm(np.linalg.solve(pixels.T, noise)) / np.sqrt(2.0))
+
+
+def _smooth_columns(points: Points) -> FloatArray:
+    """Return what places of a smooth geometry are made of, beyond cubic polynomials, (n, k).
+
+    Powers of the sample; heights, and their squares, by factors that change slowly.
+    """
+    line, sample = ((points.image - points.image.mean(axis=0))
+                    / np.ptp(points.image, axis=0)).T
+    height = np.nan_to_num(points.ground[:, 2])
+    height = (height - height.mean()) / max(float(np.ptp(height)), 1.0)
+    # Ten factors of line^i sample^j up to the third degree, six powers beyond it, three of squares:
+    # _TERMS in all.
+    slow = [line**i * sample**j for i, j in product(range(4), range(4)) if i + j < 4]
+    powers = [sample**power * line**i for power, i in product((4, 5, 6), (0, 1))]
+    return np.stack([*powers, *(height * factor for factor in slow),
+                     *(height**2 * factor for factor in (1.0, line, sample))], axis=1)
+
+
+def _runs(lattice: Lattice) -> Iterator[IntArray]:
+    """Yield the numbers of points that are neighbours on a line, one run after the other."""
+    order = np.lexsort((lattice.column, lattice.line))
+    for start in range(len(order) - _RUN + 1):
+        run = order[start:start + _RUN]
+        if lattice.line[run[0]] == lattice.line[run[-1]]:
+            yield run
+
+
+def _without_cubic(positions: FloatArray) -> FloatArray:
+    """Return weights (r, 5) of sum of squares 1 that remove cubics of positions (r, 5).
+
+    They are divided differences: w_i = 1 / prod over j of (x_i - x_j).
+    """
+    unit = np.ptp(positions, axis=1, keepdims=True)
+    differences = (positions[:, :, None] - positions[:, None, :]) / unit[:, :, None]
+    differences += np.eye(_RUN)
+    weights = 1.0 / differences.prod(axis=2)
+    return np.asarray(weights / np.linalg.norm(weights, axis=1, keepdims=True))

@@ -7,30 +7,28 @@ from typing import Annotated, Final, Literal
 
 from msgspec import Meta, field
 
-from termsel.data.record.base import (
-    Checksum,
-    Count,
-    Name,
-    Names,
-    Objectives,
-    Positive,
-    RecordPart,
-    Scale,
-    Settings,
-    Share,
-    Size,
-)
 from termsel.data.record.figures import (
     Accuracy,
     AdjustmentFigures,
     BaselineRow,
     BlunderTest,
+    Checksum,
     Correlation,
+    Count,
+    Name,
+    Names,
+    Objectives,
     Outlier,
+    Positive,
     Predicted,
+    RecordPart,
     RmseByRole,
+    Scale,
     SensorFigure,
+    Settings,
+    Share,
     Significance,
+    Size,
 )
 from termsel.data.record.search import (
     Certificate,

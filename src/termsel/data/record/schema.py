@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from termsel.data.record.base import RecordPart
+from termsel.data.record.figures import RecordPart
 from termsel.data.record.record import SCHEMA, Record
 
 

@@ -7,19 +7,19 @@ from typing import Annotated, Literal
 
 from msgspec import UNSET, Meta, UnsetType
 
-from termsel.data.record.base import (
+from termsel.data.record.figures import (
     Count,
     Name,
     Names,
     Objectives,
     Positive,
     RecordPart,
+    RmseByRole,
     Roles,
     Scale,
     Share,
     Size,
 )
-from termsel.data.record.figures import RmseByRole
 
 
 class SelectionRecord(RecordPart, frozen=True):

@@ -10,8 +10,18 @@ import numpy as np
 from termsel.core.errors import TermselError
 from termsel.data.coordinates.crs import short
 from termsel.data.features import FloatArray
-from termsel.data.tables.columns import POINTS, Aliases, declared, matches, parse_columns
-from termsel.data.tables.numbers import COMMA, POINT, BadCell, decimal_signs, read_numbers
+from termsel.data.tables.columns import (
+    COMMA,
+    POINT,
+    POINTS,
+    Aliases,
+    BadCell,
+    decimal_signs,
+    declared,
+    matches,
+    parse_columns,
+    read_numbers,
+)
 from termsel.formats.base import LARGEST_IMAGE
 from termsel.formats.readers.cells import WIDEST, BadText, counts_columns, read_cells
 

@@ -8,10 +8,9 @@ from termsel.core.errors import TermselError
 from termsel.core.options import Option
 from termsel.data.areas import FORMS, Area, CornerError, boundary, centroids
 from termsel.data.features import FeatureSet
-from termsel.data.tables.attributes import alike
 from termsel.data.tables.columns import COORDINATES, CORNER, USE
-from termsel.formats.readers.table import Table
-from termsel.formats.readers.tables import COLUMNS, TableReader
+from termsel.data.tables.tabular import alike
+from termsel.formats.readers.tables import COLUMNS, Table, TableReader
 
 
 class AreasCsv(TableReader):

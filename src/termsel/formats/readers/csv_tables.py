@@ -21,12 +21,11 @@ from termsel.core.files.atomic import write_text
 from termsel.core.files.texts import cell_text
 from termsel.core.options import Option
 from termsel.data.features import FeatureSet, FloatArray, Lines, Points
-from termsel.data.tables.attributes import Attributes
 from termsel.data.tables.columns import LINES, POINTS, folded, parse_columns
+from termsel.data.tables.tabular import Attributes
 from termsel.formats.base import IMAGE_NAME, LARGEST_IMAGE, image_of
 from termsel.formats.readers.cells import header_row, read_cells
-from termsel.formats.readers.table import Table, points_of
-from termsel.formats.readers.tables import COLUMNS, TableReader
+from termsel.formats.readers.tables import COLUMNS, Table, TableReader, points_of
 
 log = logging.getLogger(__name__)
 

@@ -10,8 +10,7 @@ from termsel.data.features import FeatureSet
 from termsel.data.tables.columns import LINES, POINTS, parse_columns
 from termsel.formats.readers.cells import found_in, of_records
 from termsel.formats.readers.csv_tables import LinesCsv
-from termsel.formats.readers.table import points_of
-from termsel.formats.readers.tables import table_of
+from termsel.formats.readers.tables import points_of, table_of
 
 ACCEPTED = ("a FeatureSet, the name of a file, a DataFrame of pandas, geopandas or polars, a list "
             "of dicts, or a dict of columns")

@@ -12,7 +12,7 @@ from typing import Any
 
 from termsel.core.errors import TermselError
 from termsel.data.coordinates.crs import normalise
-from termsel.data.tables.attributes import is_free
+from termsel.data.tables.tabular import is_free
 from termsel.formats.base import located, parse_json, read_text
 
 

@@ -13,8 +13,7 @@ from termsel.data.tables.columns import POINTS, matches, parse_columns
 from termsel.formats.base import IMAGE_NAME, Reader, image_of
 from termsel.formats.readers.cells import of_records
 from termsel.formats.readers.geojson import Feature, numbers_at, read_geojson, sniff_geojson
-from termsel.formats.readers.table import Table, points_of
-from termsel.formats.readers.tables import COLUMNS, table_of
+from termsel.formats.readers.tables import COLUMNS, Table, points_of, table_of
 from termsel.formats.readers.vector import POINT_KINDS, has_points, is_vector, read_layer
 
 _GROUND = {axis: f"{axis} of the geometry" for axis in "xyz"}

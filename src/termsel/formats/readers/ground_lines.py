@@ -12,8 +12,8 @@ import numpy as np
 from termsel.core.errors import TermselError, first_of
 from termsel.core.options import Option
 from termsel.data.features import FeatureSet, FloatArray, Lines
-from termsel.data.tables.attributes import alike, columns_of
 from termsel.data.tables.columns import LINES
+from termsel.data.tables.tabular import alike, columns_of
 from termsel.formats.base import Reader, located, read_head
 from termsel.formats.readers.geojson import Feature, numbers_at, read_geojson, sniff_geojson
 from termsel.formats.readers.tables import read_table

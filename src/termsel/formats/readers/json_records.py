@@ -18,8 +18,7 @@ from termsel.data.tables.columns import parse_columns
 from termsel.formats.base import IMAGE_NAME, located, parse_json, read_text
 from termsel.formats.readers.cells import Cells, found_in, of_records
 from termsel.formats.readers.csv_tables import PointsCsv, parts_of
-from termsel.formats.readers.table import Table
-from termsel.formats.readers.tables import COLUMNS, table_of
+from termsel.formats.readers.tables import COLUMNS, Table, table_of
 
 _FLAT_OBJECT = re.compile(r"\{[^{}]*\}")
 _OF_OTHER_READERS = ('"Feature', '"gcpList"', '"Annotation')

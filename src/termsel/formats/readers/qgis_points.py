@@ -17,8 +17,7 @@ from termsel.core.options import Option
 from termsel.data.features import FeatureSet, FloatArray
 from termsel.data.rasters import open_raster, positions
 from termsel.formats.image_origin import EDGE_MARGIN
-from termsel.formats.readers.table import Table
-from termsel.formats.readers.tables import TableReader
+from termsel.formats.readers.tables import Table, TableReader
 
 log = logging.getLogger(__name__)
 

@@ -15,7 +15,7 @@ from termsel.core.files.atomic import atomic_path, encoded, write_bytes, write_t
 from termsel.core.files.names import is_there
 from termsel.core.files.texts import xml_text
 from termsel.core.options import COUNT, Option
-from termsel.data.coordinates.utm import for_warping
+from termsel.data.coordinates.metres import for_warping
 from termsel.data.features import FloatArray, Points
 from termsel.data.rasters import require_rasterio, tiff_bytes
 from termsel.fitting.fit import Fit

@@ -13,7 +13,7 @@ from termsel.core.errors import TermselError
 from termsel.core.files.atomic import write_text
 from termsel.core.options import Option
 from termsel.data.coordinates.crs import horizontal
-from termsel.data.coordinates.utm import for_warping
+from termsel.data.coordinates.metres import for_warping
 from termsel.data.features import BoolArray, FloatArray, Points
 from termsel.formats.base import Writer
 from termsel.formats.deviation import GDALWARP, QGIS, say_measured, say_nearest

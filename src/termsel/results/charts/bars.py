@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from termsel.results.compared import THIS, fits_of, label_of
 from termsel.results.theme import (
     BLUNDER,
     CONTROL,
@@ -23,7 +22,7 @@ from termsel.results.theme import (
     role_legend,
     spread_scale,
 )
-from termsel.results.verdict import CERTAINTY
+from termsel.results.verdict import CERTAINTY, THIS, fits_of, label_of
 from termsel.results.view import Row, View
 
 WORST = 25

@@ -7,12 +7,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from termsel.adjustment.leave_out import leave_one_out
-from termsel.adjustment.parts import solve_parts
+from termsel.adjustment.leave_out import leave_one_out, solve_parts
 from termsel.core.options import COUNT, SEED, Option
 from termsel.data.coordinates.places import spatial_order
 from termsel.data.features import FeatureSet, FloatArray, IntArray, Lines, Points, no_lines
-from termsel.data.twins import twins
+from termsel.data.roles import twins
 from termsel.fitting.losses import LOSS, SQUARES, THRESHOLD
 from termsel.fitting.population import Fits
 from termsel.selection.criteria.base import Criterion

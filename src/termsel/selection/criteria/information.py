@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from termsel.adjustment.parts import IndependentPart
-from termsel.adjustment.rounding import ROUNDING
+from termsel.adjustment.leave_out import IndependentPart
+from termsel.adjustment.solve import ROUNDING
 from termsel.core.errors import TermselError
 from termsel.core.options import COUNT, Option
 from termsel.data.features import FloatArray, IntArray

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from termsel.adjustment.parts import IndependentPart
+from termsel.adjustment.leave_out import IndependentPart
 from termsel.core.errors import TermselError, unknown_name
 from termsel.core.options import Option
 from termsel.data.features import BoolArray, FloatArray, IntArray

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from termsel.adjustment.equations import Equations, row_axes
-from termsel.adjustment.rounding import ROUNDING, by_size
+from termsel.adjustment.solve import ROUNDING, by_size
 from termsel.core.errors import TermselError
 from termsel.data.features import (
     BoolArray,

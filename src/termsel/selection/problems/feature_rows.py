@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from termsel.adjustment.parts import IndependentPart
+from termsel.adjustment.leave_out import IndependentPart
 from termsel.data.features import BoolArray, FloatArray
 from termsel.selection.best_subsets.features.walk import RowSystem
 from termsel.selection.criteria.base import CheckRmse

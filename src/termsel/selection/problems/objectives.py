@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from termsel.adjustment.equations import Equations
-from termsel.adjustment.parts import IndependentPart
+from termsel.adjustment.leave_out import IndependentPart
 from termsel.core.isolation.arrays import of_shape
 from termsel.core.isolation.faults import blamed, is_own, named_function, wrong
 from termsel.data.coordinates.places import centres

@@ -8,16 +8,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from termsel.adjustment.parts import independent_parts, solve_parts
-from termsel.adjustment.rounding import ROUNDING, by_size
+from termsel.adjustment.leave_out import independent_parts, solve_parts
+from termsel.adjustment.solve import ROUNDING, by_size
 from termsel.core.errors import TermselError, unknown_name
 from termsel.data.coordinates.places import centres
 from termsel.data.features import BoolArray, FloatArray, IntArray, select
 from termsel.fitting.least_squares import first_order
 from termsel.fitting.population import Fits
 from termsel.models.base import LINE, SAMPLE, SensorModel
-from termsel.models.poles import guard_points, pole_margin, pole_violation
-from termsel.models.quotient import RationalModel
+from termsel.models.quotient import RationalModel, guard_points, pole_margin, pole_violation
 from termsel.models.terms import Term
 from termsel.selection.criteria import Criterion
 from termsel.selection.problems.base import (
@@ -196,7 +195,8 @@ class SelectionProblem(Problem):
           degree of freedom);
         - the number of axes without a term of the numerator;
         - the number of parents that are missing (option "hierarchy");
-        - how far a denominator is below `termsel.models.poles.pole_margin` somewhere in the scene;
+        - how far a denominator is below `termsel.models.quotient.pole_margin` somewhere in the
+          scene;
         - how far the uncovered share of the image is above the option "max_uncovered".
 
         It is 1 where all of these are 0 and the criterion has no figure.

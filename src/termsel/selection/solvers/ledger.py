@@ -8,10 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from termsel.adjustment.rounding import significant
+from termsel.adjustment.solve import significant
 from termsel.core.errors import TermselError
-from termsel.core.isolation.faults import wrong
-from termsel.core.isolation.inside import own_code
+from termsel.core.isolation.faults import own_code, wrong
 from termsel.data.features import FloatArray
 from termsel.data.record.chances import median
 from termsel.data.record.search import HistoryRow

@@ -16,10 +16,8 @@ from termsel.plugins.hookspecs import PROJECT
 from termsel.plugins.registry import SESSION, registry
 from termsel.results.extras import Measure
 from termsel.runs.choosing import uses_auto
-from termsel.runs.given import auto_of
-from termsel.runs.method_task import LEAST
-from termsel.runs.request import DATA_OPTIONS, Request, problem_for, request_of
-from termsel.runs.task import Task, checked, observe, with_shares
+from termsel.runs.request import DATA_OPTIONS, Request, auto_of, problem_for, request_of
+from termsel.runs.task import LEAST, Task, checked, observe, with_shares
 from termsel.selection.solvers.base import Solver
 from termsel.selection.solvers.budget import SEARCH_OPTIONS
 from termsel.studies.cells.identity import made_of

@@ -6,8 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Container, Sequence
 
-from termsel.core.display.numbers import rounded
-from termsel.core.errors import counted
+from termsel.core.errors import counted, rounded
 from termsel.results.blocks import TableBlock
 from termsel.studies.cells.table import Row, usual_notes
 from termsel.studies.cells.verdicts import FIT, VERDICTS

@@ -19,7 +19,7 @@ from msgspec import Meta, ValidationError, convert
 
 from termsel.core.errors import TermselError, counted
 from termsel.core.files.names import JOURNAL, inside, is_there, open_inside
-from termsel.data.record.base import RecordPart, plain
+from termsel.data.record.figures import RecordPart, plain
 from termsel.formats.base import read_data
 
 SCHEMA = "termsel-study-1"

@@ -16,8 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from termsel.core.display.numbers import rounded
-from termsel.core.errors import TermselError, counted
+from termsel.core.errors import TermselError, counted, rounded
 from termsel.data.record.figures import MANY_INDEPENDENT, rmse_interval
 from termsel.studies.cells.neighbours import ELSEWHERE
 

@@ -17,7 +17,7 @@ from termsel.data.datasets import DatasetSpec
 from termsel.data.features import FeatureSet
 from termsel.io.read import parts_of, read
 from termsel.plugins.registry import registry
-from termsel.results.checksums import of_attributes, of_features
+from termsel.results.result import of_attributes, of_features
 from termsel.studies.execution.naming import named
 from termsel.studies.plan.places import Path as Keys
 from termsel.studies.plan.spec import Source, Spec

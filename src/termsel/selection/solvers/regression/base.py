@@ -9,8 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from termsel.adjustment.rounding import ROUNDING, largest
-from termsel.adjustment.solve import TOLERANCE
+from termsel.adjustment.solve import ROUNDING, TOLERANCE, largest
 from termsel.core.errors import TermselError
 from termsel.data.features import BoolArray, FloatArray, IntArray
 from termsel.selection.best_subsets.columns.system import SubsetSystem

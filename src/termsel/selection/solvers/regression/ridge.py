@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from termsel.adjustment.ridge import Spectrum, choose_penalty
-from termsel.adjustment.solve import TOLERANCE
+from termsel.adjustment.solve import TOLERANCE, Spectrum, choose_penalty
 from termsel.core.options import Option
 from termsel.data.features import BoolArray, FloatArray
 from termsel.selection.problems.base import Problem
