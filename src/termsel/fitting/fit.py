@@ -498,8 +498,13 @@ class Fit(Glance):
 
     @cached_property
     def local_courses(self) -> LocalCourses | None:
-        """What control points in a plane tell of the truth of a local model, or None."""
-        if self.model.uses_height or self.interpolation is None:
+        """What control points in a plane tell of the truth, or None.
+
+        A projection of a view is no field about a polynomial, and is judged by what it leaves.
+        """
+        is_polynomial = self.model.polynomial_degree is not None
+        if self.model.uses_height or len(self._scaled_used.lines) \
+                or not (is_polynomial or self.interpolation is not None):
             return None
         return local_courses(self._scaled_used.points, 1.0 / self.scaling.image_scale)
 

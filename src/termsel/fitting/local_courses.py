@@ -1,16 +1,17 @@
-"""How far a local model may be from the truth, which may be rougher or smoother than its form.
+"""How far a model of a plane may be from the truth, which may be rougher or smoother than its form.
 
 A spline and a field of one smoothness state errors that are too small where the truth is rougher,
-as where sheets were joined or drawn by hand, and too large where it is smoother. Here the image of
-points in a plane is, in line and in sample,
+as where sheets were joined or drawn by hand, and too large where it is smoother; a polynomial that
+was chosen as no field showed states none. Here the image of points in a plane is, in line and in
+sample,
 
     z = T b + g + e,    g ~ (ratio s)^2 K,  e ~ s^2,
 
-with a trend T of places p in the image, as an affine map of the ground sees them, and a covariance
-K of unknown smoothness, length and ratio, or without a field g. All are averaged with their
-restricted likelihood, as in `termsel.fitting.misfit`. With c = (ratio^2 k, t) the covariances and
-trend of a place and M = [[S, T], [T', 0]], S = I + ratio^2 K, a course has there (universal
-kriging)
+with an affine or quadratic trend T of places in the image, as an affine map of the ground sees
+them, and a covariance K of unknown smoothness, length and ratio, or without a field g. All are
+averaged with their restricted likelihood, as in `termsel.fitting.misfit`. With c = (ratio^2 k, t)
+the covariances and trend of a place and M = [[S, T], [T', 0]], S = I + ratio^2 K, a course has
+there (universal kriging)
 
     the mean c' M^-1 (z, 0) and the variance s^2 (ratio^2 - c' M^-1 c).
 
@@ -22,13 +23,14 @@ the variance at a place are then by the 200 that are nearest to its cell, of som
 
 References
 ----------
-Matheron 1969 for universal kriging; Stein 1999 for the smoothness of the Matern covariance.
+Matheron 1969 for universal kriging; Stein 1999 for the smoothness of the Matern covariance;
+Zellner 1986 for the prior of a trend.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -41,6 +43,7 @@ from termsel.fitting.misfit import (
     Course,
     NoisePrior,
     System,
+    matern,
     rows_of_field,
     trend_of,
 )
@@ -63,7 +66,11 @@ fields."""
 RATIOS = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 12.8, 25.6)
 """Standard deviations of the field by that of the noise, all as likely beforehand."""
 
-FIELD_PROBABILITY = 0.5
+FIELD_PROBABILITY = 0.8
+"""Probability of a field: hardly a sheet is a plane to a tenth of its noise."""
+
+TREND_COLUMNS = 3, 6
+"""Of an affine and of a quadratic trend, both as likely beforehand."""
 
 CELL_POINTS = 100
 """Most points of a cell."""
@@ -74,8 +81,12 @@ NOISE_BY_TREND = np.geomspace(0.01, 2.0, 26)
 
 @dataclass(frozen=True, eq=False)
 class Solutions:
-    """How likely ratios and noises are under one covariance, `shares` (2, r, s) of all courses."""
+    """How likely ratios and noises are under one covariance, `shares` (2, r, s) of all courses.
 
+    Its trend has the first of all columns.
+    """
+
+    trend_columns: int
     lengths: tuple[float, float]
     smoothness: float
     ratios: tuple[float, ...]
@@ -85,6 +96,7 @@ class Solutions:
         """Return the course of some control."""
         likely = self.shares.sum(axis=2).max(axis=0) > NEGLIGIBLE_SHARE
         ratios = tuple(np.array(self.ratios)[likely].tolist())
+        system = replace(system, trend=system.trend[:, :self.trend_columns])
         return system.course(self.lengths, self.smoothness, ratios, self.shares[:, likely])
 
 
@@ -97,12 +109,15 @@ class Cell:
 
     def squares(self, positions: FloatArray, deviations: FloatArray) -> FloatArray:
         """Return the mean square errors, (m, 2), of a model with such deviations at positions."""
-        trend = trend_of(positions, len(self.positions))
         total = np.zeros((len(positions), 2))
         for course in self.courses:
-            columns = course.columns(positions, self.positions, trend)
-            total += course.squares(columns, deviations)
+            total += course.squares(self.columns(course, positions), deviations)
         return total
+
+    def columns(self, course: Course, positions: FloatArray) -> FloatArray:
+        """Return what the mean and the variance of a course at positions are made of."""
+        trend = trend_of(positions, len(self.positions))[:, :course.trend_columns]
+        return course.columns(positions, self.positions, trend)
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,10 +182,9 @@ class LocalCourses:
         """
         positions = _affine(ground) @ self.to_image
         cell = self._spread_cell
-        trend = trend_of(positions, len(cell.positions))
         total = np.zeros((len(ground), len(ground)))
         for course in cell.courses:
-            columns = course.columns(positions, cell.positions, trend)
+            columns = cell.columns(course, positions)
             total += course.covariance(positions, columns, axis, (image - positions)[:, axis])
         return total
 
@@ -201,17 +215,50 @@ def local_courses(points: Points, pixel: float) -> LocalCourses | None:
     logs = []
     grids = []
     for probability, lengths, smoothness, ratios in _priors():
-        by_ratio = system.log_likelihoods(lengths, smoothness, ratios)              # (2, r, s)
-        by_noise = np.logaddexp.reduce(by_ratio, axis=1)
-        logs.append(np.log(probability) + log_prior + by_noise.sum(axis=0))
-        grids.append((lengths, smoothness, ratios, np.exp(by_ratio - by_noise[:, None])))
+        by_trend = _log_likelihoods(system, lengths, smoothness, ratios)             # (t, 2, r, s)
+        for trend_columns, by_ratio in zip(TREND_COLUMNS, by_trend, strict=True):
+            by_noise = np.logaddexp.reduce(by_ratio, axis=1)
+            logs.append(np.log(probability / len(TREND_COLUMNS)) + log_prior
+                        + by_noise.sum(axis=0))
+            grids.append((trend_columns, lengths, smoothness, ratios,
+                          np.exp(by_ratio - by_noise[:, None])))
     shares = np.exp(np.array(logs) - np.logaddexp.reduce(logs, axis=None))           # (c, s)
     if not np.isfinite(shares).all():
         return None
-    solutions = tuple(Solutions(lengths, smoothness, ratios, share * by_ratio)
-                      for share, (lengths, smoothness, ratios, by_ratio)
-                      in zip(shares, grids, strict=True) if share.sum() > NEGLIGIBLE_SHARE)
+    solutions = tuple(Solutions(*grid[:-1], share * grid[-1])
+                      for share, grid in zip(shares, grids, strict=True)
+                      if share.sum() > NEGLIGIBLE_SHARE)
     return LocalCourses(to_image, control, solutions, float(shares.sum(axis=0) @ noises**2))
+
+
+def _log_likelihoods(system: System, lengths: tuple[float, float], smoothness: float,
+                     ratios: tuple[float, ...]) -> FloatArray:
+    """Return log p(z, ratio | trend, length, s) of both trends and axes, (2, 2, r, s).
+
+    The affine part of the trend may be anything. That of higher degree has beforehand the
+    information of one point (Zellner 1986, with g = n): the likelihood is that of the affine trend,
+    and what the columns explain beyond it.
+    """
+    correlation = matern(system.positions, system.positions, lengths, smoothness)
+    variances = np.diag(system.relative_variances)
+    n, f = system.trend.shape
+    affine_columns = TREND_COLUMNS[0]
+    logs = np.empty((len(TREND_COLUMNS), 2, len(ratios), len(system.noises)))
+    for i, ratio in enumerate(ratios):
+        lower = np.linalg.cholesky(variances + ratio**2 * correlation)
+        whitened = np.linalg.solve(lower, np.column_stack([system.trend, system.residuals]))
+        q, r = np.linalg.qr(whitened[:, :f])
+        along = q.T @ whitened[:, f:]                                                  # (f, 2)
+        explained = (along[affine_columns:]**2).sum(axis=0)[:, None] / system.noises**2
+        squares = (whitened[:, f:]**2).sum(axis=0) - (along[:affine_columns]**2).sum(axis=0)
+        determinant = np.log(np.diag(lower)).sum() \
+            + np.log(np.abs(np.diag(r)[:affine_columns])).sum()
+        affine = -(n - affine_columns) * np.log(system.noises) \
+            - 0.5 * squares[:, None] / system.noises**2 - determinant
+        logs[0, :, i] = affine
+        logs[1, :, i] = affine + 0.5 * explained * n / (n + 1.0) \
+            - 0.5 * (f - affine_columns) * np.log(n + 1.0)
+    return np.asarray(logs - np.log(len(ratios)))
 
 
 def _halved(positions: FloatArray, rows: IntArray) -> list[IntArray]:

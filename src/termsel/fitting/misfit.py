@@ -30,8 +30,8 @@ Few residuals do not tell a field of short length from noise. Then their scatter
 is known beforehand: a measurement in an image is good to about half a pixel, and a scatter of
 several pixels is rather what the model does not fit, in images of cameras more so than on maps that
 somebody has drawn. Of a local model, which fits fields itself, r are its errors of points held out,
-of the size of the noise that it sees; in a plane, from 20 points on, it is judged by
-`termsel.fitting.local_courses` instead.
+of the size of the noise that it sees; in a plane, from 20 points on, it and polynomials are judged
+by `termsel.fitting.local_courses` instead.
 
 References
 ----------
@@ -149,6 +149,7 @@ class Course:
     explained: FloatArray
     weights: FloatArray
     means: FloatArray
+    trend_columns: int
 
     def columns(self, places: FloatArray, positions: FloatArray, trend: FloatArray) -> FloatArray:
         """Return the covariances of places (m, 2) to those of the control, and their trend."""
@@ -225,7 +226,7 @@ class System:
             means[i] = inverse[:, :n] @ self.residuals
             explained += noise[:, i, None, None] * (inverse * scale)
         return Course(float(shares[0].sum()), lengths, smoothness, noise @ np.square(ratios),
-                      explained, shares.sum(axis=2), means)
+                      explained, shares.sum(axis=2), means, f)
 
     def without_noise_of_trend(self, course: Course, shares: FloatArray) -> Course:
         """Return a course without what noise alone makes uncertain of the trend.
