@@ -34,7 +34,7 @@ LAYOUTS = ("anywhere", "one half")
 
 def fitted(points: Points) -> Fit:
     """Return the regularised cubic of points."""
-    candidate = named("shrunken-cubic")
+    candidate = named("regularised-cubic")
     assert candidate is not None
     return termsel.fit(FeatureSet(replace(points, roles=())), candidate)
 

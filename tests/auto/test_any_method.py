@@ -93,7 +93,7 @@ def test_auto_is_a_method_whose_errors_are_of_the_repeated_choice(scene: Feature
     np.testing.assert_allclose(auto.held_out(fitted).squares, (errors**2).sum(axis=1))
 
 
-@pytest.mark.parametrize("name", ["affine", "quadratic", "shrunken-quadratic"])
+@pytest.mark.parametrize("name", ["affine", "quadratic", "regularised-quadratic"])
 def test_errors_held_out_are_those_of_fits_without_each_point(
         scene: FeatureSet, name: str) -> None:
     fitted = termsel.fit(scene.with_(points=scene.points.take(np.arange(24) < 20)), name)

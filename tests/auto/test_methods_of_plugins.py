@@ -98,17 +98,17 @@ def chosen_of(fits: list[Fit]) -> tuple[str, str]:
 
 
 @pytest.mark.parametrize(("of", "gain", "chosen"), [
-    ("", CLEAR_MARGIN - 0.1, "shrunken-quadratic"), ("", CLEAR_MARGIN + 0.1, "mine"),
-    ("central", PROJECTION_MARGIN - 0.1, "shrunken-quadratic"),
+    ("", CLEAR_MARGIN - 0.1, "regularised-quadratic"), ("", CLEAR_MARGIN + 0.1, "mine"),
+    ("central", PROJECTION_MARGIN - 0.1, "regularised-quadratic"),
     ("central", PROJECTION_MARGIN + 0.1, "mine"),
-    ("has_prior", PRIOR_MARGIN - 0.1, "shrunken-quadratic"),
+    ("has_prior", PRIOR_MARGIN - 0.1, "regularised-quadratic"),
     ("has_prior", PRIOR_MARGIN + 0.1, "mine")])
 def test_a_candidate_with_a_prior_or_a_central_one_needs_less(
         control: FitData, of: str, gain: float, chosen: str) -> None:
     noise = np.random.default_rng(1).normal(size=len(control))
     noise = (noise - noise.mean()) / noise.std(ddof=1)
     factor = np.exp(-0.1 * (gain / np.sqrt(len(control)) + noise))
-    shrunken, mine = named("shrunken-quadratic"), Known(
+    shrunken, mine = named("regularised-quadratic"), Known(
         "mine", "a known model", Polynomial3D(degree=2), has_prior=of == "has_prior",
         central=of == "central")
     name, reason = chosen_of([fit_with(shrunken, control, np.ones(len(control))),
@@ -137,8 +137,8 @@ def test_fewer_features_must_speak_more_clearly_against_what_is_known(
 def test_what_a_prior_contains_is_not_chosen_next_to_it(control: FitData) -> None:
     # Its own errors are ten times too large: it takes the place of what it contains all the same.
     mine = Known("mine", "a known model", Polynomial3D(degree=2), 100.0, has_prior=True,
-                 contains=("affine", "quadratic", "cubic", "shrunken-quadratic",
-                           "shrunken-cubic"))
+                 contains=("affine", "quadratic", "cubic", "regularised-quadratic",
+                           "regularised-cubic"))
     limit = Known("limit", "a limit", Affine())
     choice = Auto(methods=(*METHODS[3:4], *METHODS[12:14], mine)).choose(control)
     assert choice is not None
@@ -229,7 +229,7 @@ def test_folds_of_many_points_do_not_try_what_all_points_are_far_from(count: int
     TRIED.clear()
     auto.repeated(control, see)
     of_few = folds if count < 20 else 0
-    assert seen["good"] == seen["shrunken-quadratic"] == folds
+    assert seen["good"] == seen["regularised-quadratic"] == folds
     assert seen["bad"] == of_few
     parts = Counter(name for name, n in TRIED.elements() if n < count)
     assert parts["unasked"] == parts["in-parts"] == folds
@@ -350,7 +350,7 @@ def test_a_result_of_an_estimator_of_the_session_is_the_same_fit_again(
         session: Callable[[Method], None], tmp_path: Path) -> None:
     session(Structure("small", "a small model", Affine(), None, has_prior=True,
                       estimator=Shrinking(1.0 - 1e-6), contains=(
-                          "shrunken-quadratic", "shrunken-cubic", "physical-cubic", "field")))
+                          "regularised-quadratic", "regularised-cubic", "physical-cubic", "field")))
     scene = termsel.simulate_scene("ikonos-hamedan", n_points=24, n_lines=0)
     result = termsel.run("rfm-terms", features=scene, strategy="auto", out=tmp_path / "r")
     assert result.strategy.chosen == "small"

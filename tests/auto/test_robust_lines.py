@@ -136,7 +136,7 @@ def test_shrunken_polynomials_of_lines_predict_better_than_plain_ones() -> None:
     choice = Auto().choose(FitData.of(control, True))
     assert choice is not None
     by_name = {one.method.name: one for one in choice.compared}
-    assert choice.method.name.startswith("shrunken")
+    assert choice.method.name.startswith("regularised")
     assert choice.chosen.held_out_rmse < by_name["quadratic"].held_out_rmse
     independent = simulate_scene("ikonos-hamedan", n_points=60, n_lines=0, seed=9).points
     mine, plain = (fitted.rmse(independent) for fitted in (choice.chosen, by_name["quadratic"]))
@@ -344,7 +344,7 @@ def test_searches_over_points_are_compared_with_robust_fits_too() -> None:
     spoilt = scene.with_(points=replace(scene.points, image=image))
     result = termsel.run("rfm-terms", features=spoilt, generations=2, options=QUICK)
     rows = {one.name: one.rmse["independent"] for one in result.baselines}
-    assert rows["without-blunders"].total < 0.5 * rows["shrunken-cubic"].total
+    assert rows["without-blunders"].total < 0.5 * rows["regularised-cubic"].total
     assert rows["tukey"].total < 0.5 * rows["quadratic"].total
     assert "outliers removed, is" in result.judgement
     clean = termsel.run("rfm-terms", features=scene, generations=2, options=QUICK)

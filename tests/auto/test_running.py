@@ -227,10 +227,10 @@ def test_plain_fits_are_judged_next_to_the_selection() -> None:
     result = quick("rfm-terms")
     names = [b.name for b in result.baselines]
     assert names == ["all-terms", "affine", "dlt", "quadratic", "cubic", "rfm-2", "rfm-3", "ridge",
-                     "selected", "shrunken-quadratic", "shrunken-cubic", "huber", "tukey"]
+                     "selected", "regularised-quadratic", "regularised-cubic", "huber", "tukey"]
     assert not result.baselines[0].determined  # 39 terms an axis, 24 control points
     assert "rank-deficient" in result.judgement
-    reference = next(b.rmse for b in result.baselines if b.name == "shrunken-cubic")
+    reference = next(b.rmse for b in result.baselines if b.name == "regularised-cubic")
     assert f"{reference['independent'].total:.2f} px" in result.judgement
 
 

@@ -64,8 +64,8 @@ def test_auto_is_the_default_where_only_points_are_given(result: termsel.Result)
     assert result.strategy.name == "auto"
     names = [one.name for one in result.strategy.candidates]
     assert result.strategy.chosen in names
-    assert {"affine", "dlt", "quadratic", "cubic", "selected", "shrunken-quadratic",
-            "shrunken-cubic"} <= set(names)
+    assert {"affine", "dlt", "quadratic", "cubic", "selected", "regularised-quadratic",
+            "regularised-cubic"} <= set(names)
     quadratic = next(b for b in result.baselines if b.name == "quadratic")
     assert result.rmse["independent"].total < quadratic.rmse["independent"].total
     # Check points are fitted to, and yet shown by themselves.
@@ -87,7 +87,7 @@ def by_shrunken(one: str, other: str, judged: dict) -> float:
 
 
 @pytest.mark.parametrize(("features", "heights", "chosen"), [
-    (scene(48), True, "shrunken-quadratic"), (example(), True, "shrunken-cubic"),
+    (scene(48), True, "regularised-quadratic"), (example(), True, "regularised-cubic"),
     (frame_camera(40), True, "dlt")])
 def test_the_reason_states_the_figures_that_decided(
         features: FeatureSet, heights: bool, chosen: str) -> None:
@@ -95,18 +95,18 @@ def test_the_reason_states_the_figures_that_decided(
     assert found is not None
     judged = {one.method.name: one for one in found.compared}
     assert found.method.name == chosen
-    cubic = by_shrunken("shrunken-cubic", "shrunken-quadratic", judged)
+    cubic = by_shrunken("regularised-cubic", "regularised-quadratic", judged)
     assert found.reason.startswith(
         f"regularised cubic is {'better' if cubic > 0 else 'worse'} than regularised quadratic by "
         f"{abs(cubic):.2g} standard errors; it must be better by more than 1. ")
-    against = "shrunken-cubic" if cubic > 1 else "shrunken-quadratic"
+    against = "regularised-cubic" if cubic > 1 else "regularised-quadratic"
     rival, gain = max(((name, by_shrunken(name, against, judged)) for name in judged
                       if name in ("dlt", "rfm-2", "rfm-3", "selected")), key=lambda one: one[1])
     # A central projection needs one standard error where points call for an oblique view.
     asked = {"dlt": 1 if chosen == "dlt" else 2}.get(rival, 3)
     assert (gain > asked) == (chosen == "dlt")
     words = "better" if gain > 0 else "worse"
-    label = against.replace("shrunken-", "regularised ")
+    label = against.replace("regularised-", "regularised ")
     assert (f"is {words} than {label} by {abs(gain):.2g} standard errors; it must be better by "
             f"more than {asked}") in found.reason
     least = min(judged, key=lambda name: judged[name].held_out_rmse)

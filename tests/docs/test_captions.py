@@ -80,7 +80,7 @@ def test_captions_of_the_strategy_auto_state_what_runs_compute(example_files: Pa
     fitted = sum(residual.role != "independent" for residual in result.residuals)
     assert f"The candidates for the {fitted} points of `points.csv`" in " ".join(
         found["auto-candidates.svg"].split())
-    assert result.strategy.chosen == "shrunken-cubic"
+    assert result.strategy.chosen == "regularised-cubic"
     assert "The regularised cubic polynomial was chosen" in " ".join(
         found["auto-candidates.svg"].split())
     image = termsel.run(features=termsel.read(example_files / "images" / "image-3.csv"))

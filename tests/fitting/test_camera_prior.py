@@ -115,13 +115,13 @@ def test_six_points_of_a_steady_scanner_are_worth_twice_as_much():
     for seed in range(4):
         scene = simulate_scene("spot-isfahan", seed=seed, roles=(6, 0, 60))
         independent = scene.points.take([role == "independent" for role in scene.points.roles])
-        ratios.append(worth(scene, independent, "shrunken-cubic"))
+        ratios.append(worth(scene, independent, "regularised-cubic"))
     assert np.median(ratios) < 0.5
 
 
 @pytest.mark.parametrize(("kind", "count", "without", "least", "named"), [
-    ("radar", 8, "shrunken-cubic", 0.7, "a radar in orbit"),
-    ("frame", 6, "shrunken-quadratic", 0.5, "a frame camera")])
+    ("radar", 8, "regularised-cubic", 0.7, "a radar in orbit"),
+    ("frame", 6, "regularised-quadratic", 0.5, "a frame camera")])
 def test_few_points_of_a_radar_or_a_photo_are_worth_more_too(kind, count, without, least, named):
     ratios, kinds = [], []
     for seed in range(4):

@@ -183,7 +183,7 @@ def test_a_correcting_model_is_fitted_again(name: str) -> None:
 
 def test_candidates_say_how_many_parameters_are_effective() -> None:
     features = points_of(40)
-    for name, most in (("ridge", 78), ("shrunken-cubic", 40), ("shrunken-quadratic", 20)):
+    for name, most in (("ridge", 78), ("regularised-cubic", 40), ("regularised-quadratic", 20)):
         fitted = termsel.fit(features, name)
         assert 8 < fitted.effective < most
         assert fitted.determined
@@ -282,7 +282,7 @@ def without_heights() -> FeatureSet:
     (without_heights(), "affine", {}, "needs heights; they are unknown for"),
     (without_heights(), "rfm-2", {}, "a second-order RFM needs heights that are known and differ"),
     (points_of(), "projective", {}, "a projective transformation is for features without heights"),
-    (points_of(4), "shrunken-cubic", {},
+    (points_of(4), "regularised-cubic", {},
      "4 control points without any one of them do not determine an affine"),
     (points_of(4), "selected", {}, "4 control points are too few to select terms"),
     (lines_of(), "selected", {}, "takes control points alone, and there are control lines"),

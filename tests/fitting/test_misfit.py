@@ -60,7 +60,7 @@ def noise_prior(pixel: float, sigma: FloatArray | None = None) -> NoisePrior:
 
 @pytest.mark.parametrize(("model", "n", "amplitude"), [
     ("projective", 30, 1.5), ("projective", 40, 0.0), ("tps", 30, 1.5), ("field", 12, 2.0),
-    ("shrunken-quadratic", 30, 0.6)])
+    ("regularised-quadratic", 30, 0.6)])
 def test_errors_are_of_the_size_that_is_stated(model: str, n: int, amplitude: float) -> None:
     assert 0.8 < ratio(model, n, amplitude, range(6)) < 1.3
 

@@ -48,7 +48,7 @@ def _covered(model: str, count: int, **options: int) -> dict[str, tuple[float, f
 
 
 @pytest.mark.parametrize(("model", "options"), [
-    ("shrunken-cubic", {}), ("affine", {}), ("poly3d", {"degree": 2})])
+    ("regularised-cubic", {}), ("affine", {}), ("poly3d", {"degree": 2})])
 def test_nine_in_ten_true_places_are_within_their_bounds_in_every_region(
         model: str, options: dict[str, int]) -> None:
     for region, (true, measured) in _covered(model, 14, **options).items():
@@ -88,7 +88,7 @@ def test_of_a_regularised_polynomial_with_lines_the_points_tell() -> None:
     def fitted(count: int) -> termsel.Fit:
         used = np.flatnonzero(roles == "control")[:count]
         points = scene.points.take(np.isin(np.arange(len(roles)), used))
-        return termsel.fit(scene.with_(points=points), "shrunken-cubic")
+        return termsel.fit(scene.with_(points=points), "regularised-cubic")
 
     errors = independent.image - fitted(20).project(independent.ground)
     ratio = errors / fitted(20).sigma(independent.ground, measured=True)
@@ -98,7 +98,7 @@ def test_of_a_regularised_polynomial_with_lines_the_points_tell() -> None:
 
 def test_measured_adds_the_noise_and_nothing_else() -> None:
     control, ground = _line_scene(30, np.random.default_rng(0))
-    fitted = termsel.fit(control, "shrunken-cubic")
+    fitted = termsel.fit(control, "regularised-cubic")
     noise = fitted.sigma(ground, measured=True) ** 2 - fitted.sigma(ground) ** 2
     np.testing.assert_allclose(noise, noise[0, 0])
     assert 0.7 < noise[0, 0] ** 0.5 < 1.4
@@ -106,7 +106,7 @@ def test_measured_adds_the_noise_and_nothing_else() -> None:
 
 def test_sigma_falls_with_more_points_and_grows_away_from_them() -> None:
     rng = np.random.default_rng(1)
-    few, many = (termsel.fit(_line_scene(n, rng)[0], "shrunken-cubic") for n in (12, 120))
+    few, many = (termsel.fit(_line_scene(n, rng)[0], "regularised-cubic") for n in (12, 120))
     middle, away = [50.0, 50.0, 5.0], [200.0, 50.0, 5.0]
     at_few, at_many = few.sigma([middle, away]), many.sigma([middle, away])
     assert (at_many < at_few / 1.5).all()
@@ -133,7 +133,7 @@ def test_without_redundancy_sigma_is_not_known() -> None:
 
 def test_a_place_without_height_has_no_sigma() -> None:
     control, _ = _line_scene(20, np.random.default_rng(4))
-    sigma = termsel.fit(control, "shrunken-cubic").sigma([[50, 50, np.nan], [50, 50, 5]])
+    sigma = termsel.fit(control, "regularised-cubic").sigma([[50, 50, np.nan], [50, 50, 5]])
     assert np.isnan(sigma).all(axis=1).tolist() == [True, False]
 
 

@@ -361,7 +361,7 @@ def test_few_points_of_joined_sheets_are_predicted_as_a_spline_does() -> None:
         assert choice is not None
         errors.append([total(choice.chosen.errors(others)),
                        *(total(termsel.fit(control, name).errors(others))
-                         for name in ("tps", "shrunken-cubic"))])
+                         for name in ("tps", "regularised-cubic"))])
     auto, spline, cubic = np.exp(np.log(errors).mean(axis=0))
     assert auto < 1.05 * spline
     assert auto < 0.9 * cubic

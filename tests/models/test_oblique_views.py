@@ -343,7 +343,8 @@ def test_a_medium_blunder_in_an_oblique_view_is_named_alone(angle: int, relief: 
     assert np.flatnonzero(found.blunders).tolist() == [11]
 
 
-@pytest.mark.parametrize(("name", "is_projection"), [("dlt", True), ("shrunken-quadratic", False)])
+@pytest.mark.parametrize(("name", "is_projection"), [
+    ("dlt", True), ("regularised-quadratic", False)])
 def test_only_a_projection_explains_its_held_out_errors_by_leverage(name: str,
                                                                     is_projection: bool) -> None:
     """What a polynomial misses of a view stays, however much each point bears on it."""

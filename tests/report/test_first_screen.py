@@ -65,7 +65,7 @@ def front(objective: str, sizes: Iterable[int]) -> list[dict[str, Any]]:
 SEARCHED = {"accuracy": accuracy(3.0, 26), "reference": "quadratic",
             "baselines": [baseline("all-terms", 20, roles(0.5, 5.0, 6.0), fitted_to=("control",)),
                           compared("quadratic", 2.4)]}
-CHOSEN = {"strategy": choice("shrunken-cubic", "affine", "quadratic"), "reference": "affine",
+CHOSEN = {"strategy": choice("regularised-cubic", "affine", "quadratic"), "reference": "affine",
           "baselines": [compared("affine", 3.2, 0.6), compared("quadratic", 2.9, 0.7)]}
 MANY = [outlier(f"{i}" * 200, 1e6 / (i + 1), i % 2 == 0) for i in range(9)]
 

@@ -62,7 +62,7 @@ def chosen() -> termsel.Result:
     """Return a choice by auto, next to fits whose figures no rounding decides."""
     found = termsel.run("rfm-terms", features=scene())
     return found.with_(baselines=tuple(one for one in found.baselines if one.name in (
-        "affine", "dlt", "quadratic", "shrunken-quadratic")))
+        "affine", "dlt", "quadratic", "regularised-quadratic")))
 
 
 @cache

@@ -135,7 +135,7 @@ def strategy(chosen: str, predicted: float | None, *names: str) -> dict[str, Any
 
 
 def test_the_page_of_a_choice() -> None:
-    text = page(strategy=strategy("shrunken-cubic", 0.6, "dlt", "shrunken-cubic"))
+    text = page(strategy=strategy("regularised-cubic", 0.6, "dlt", "regularised-cubic"))
     assert text[-1] == "Model poly3d, strategy auto, seed 4; termsel 9.9"
     assert "Cross-validation repeated the whole choice in 20 folds." in text
     assert text[-12:-3] == [

@@ -94,9 +94,9 @@ def gain_of(standard_errors: float, n: int = 40) -> FloatArray:
 
 
 @pytest.mark.parametrize(("noise", "cubic", "dlt", "chosen"), [
-    (20.0, 0.9, -9.0, "shrunken-quadratic"), (20.0, 1.02, -9.0, "shrunken-cubic"),
-    (20.0, 0.0, 1.9, "shrunken-quadratic"), (20.0, 0.0, 2.1, "dlt"),
-    (0.0, 0.0, 0.9, "shrunken-quadratic"), (0.0, 0.0, 1.02, "dlt")])
+    (20.0, 0.9, -9.0, "regularised-quadratic"), (20.0, 1.02, -9.0, "regularised-cubic"),
+    (20.0, 0.0, 1.9, "regularised-quadratic"), (20.0, 0.0, 2.1, "dlt"),
+    (0.0, 0.0, 0.9, "regularised-quadratic"), (0.0, 0.0, 1.02, "dlt")])
 def test_what_must_be_better_by_how_much(noise: float, cubic: float, dlt: float, chosen: str,
                                          monkeypatch: pytest.MonkeyPatch) -> None:
     # From nearly above, as an oblique view asks less of the DLT. With noise that is not much less
@@ -105,7 +105,7 @@ def test_what_must_be_better_by_how_much(noise: float, cubic: float, dlt: float,
     image = control.points.image + np.random.default_rng(4).normal(0, noise, (40, 2))
     control = control.with_(points=replace(control.points, image=image))
     one = np.random.default_rng(2).uniform(1, 2, 40)
-    squares = {"shrunken-quadratic": one, "shrunken-cubic": one * gain_of(cubic),
+    squares = {"regularised-quadratic": one, "regularised-cubic": one * gain_of(cubic),
                "dlt": one * gain_of(dlt), "quadratic": 0.1 * one}
     # The quadratic one is contained in the shrunken one, so that it cannot win.
     monkeypatch.setattr(Method, "tried", lambda method, _: method.name in squares)

@@ -72,7 +72,7 @@ def test_a_search_ends_without_surplus_terms(criterion: str) -> None:
 
 
 @pytest.mark.parametrize(("kind", "chosen"), [
-    ("affine", "shrunken-quadratic"), ("quadratic", "shrunken-quadratic")])
+    ("affine", "regularised-quadratic"), ("quadratic", "regularised-quadratic")])
 def test_auto_takes_the_plainest_of_candidates_that_leave_rounding(kind: str, chosen: str) -> None:
     result = termsel.run("rfm-terms", features=computed(kind))
     assert result.strategy is not None

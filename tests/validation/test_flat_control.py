@@ -121,7 +121,7 @@ def test_places_like_the_control_change_nothing() -> None:
     control = FitData.of(FeatureSet(features.points.take(range(20)), crs=features.crs))
     ground = features.points.ground[20:]
     assert with_usual_heights(control, ground) is ground
-    found = termsel.fit(control.features, "shrunken-quadratic")
+    found = termsel.fit(control.features, "regularised-quadratic")
     errors = np.random.default_rng(0).standard_normal((20, 2))
     assert predicted_by(found, errors, 40, ground) == predicted_by(found, errors, 40)
     higher = ground + np.array([0.0, 0.0, 3000.0])

@@ -22,7 +22,7 @@ from tests.formats.test_vertical_datum import camera, control, needs_rpc
 
 
 def _fit(points: Points) -> Fit:
-    return termsel.fit(FeatureSet(replace(points, roles=())), "shrunken-cubic")
+    return termsel.fit(FeatureSet(replace(points, roles=())), "regularised-cubic")
 
 
 def _farthest(mine: FloatArray, places: FloatArray, count: int) -> list[int]:

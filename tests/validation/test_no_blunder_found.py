@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 
 import termsel
+from termsel.auto.blunders import find_blunders
 from termsel.data.features import FeatureSet, Points
+from termsel.data.fit_data import FitData
+from termsel.io.example import write_example
 
 
 def photograph(count: int, wrong: int = 0, noise: float = 0.5, roles: tuple[str, ...] = (),
@@ -103,3 +106,18 @@ def test_points_without_errors_fit_exactly() -> None:
     corners = FeatureSet(Points(tuple("abcd"), image, ground), crs="EPSG:32633")
     first = " ".join(termsel.run(features=corners).summary().split())
     assert "Accuracy the points fit exactly; not verified: no independent check points" in first
+
+
+@pytest.mark.slow
+def test_the_limit_of_points_that_bend_is_one_of_errors_that_are_found(
+        tmp_path_factory: pytest.TempPathFactory) -> None:
+    # Relief looks like local deformation: a field predicts little without each point.
+    folder = tmp_path_factory.mktemp("example") / "files"
+    write_example(folder)
+    points = termsel.read(folder / "scene.points").points
+    features = FeatureSet(points.take(np.arange(60) < 30), crs="EPSG:32639")
+    suspects = find_blunders(FitData.of(features, False))
+    assert suspects is not None
+    assert not suspects.blunders.any()
+    # Of the relief a polynomial leaves 1 px; the field alone would name errors from 60 px on.
+    assert np.median(suspects.limits) < 10

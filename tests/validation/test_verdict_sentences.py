@@ -112,8 +112,9 @@ def test_a_conventional_fit_that_is_not_determined_is_said_to_be() -> None:
      "to control and selection points (1.05 px)."),
     ("affine", 1.0, 1.051, "It is 1.1 times better than the automatic choice, an affine polynomial "
      "fitted to control and selection points (1.05 px)."),
-    ("shrunken-cubic", 4.0, 2.0, "The automatic choice, a regularised cubic polynomial fitted to "
-     "control and selection points, is 2.0 times better (2.00 px): omit --problem and --solver."),
+    ("regularised-cubic", 4.0, 2.0, "The automatic choice, a regularised cubic polynomial fitted "
+     "to control and selection points, is 2.0 times better (2.00 px): omit --problem and "
+     "--solver."),
     ("rfm-3", 4.0, 2.0, "The automatic choice, a third-order RFM fitted to control and selection "
      "points, is 2.0 times better (2.00 px): omit --problem and --solver."),
     ("rfm-2", 4.0, 2.0, "A simpler model, a second-order RFM fitted to control and selection "
@@ -146,7 +147,7 @@ def candidate(name: str) -> Method:
 
 def test_a_choice_states_its_prediction_if_there_is_one() -> None:
     none = rmse(None)
-    assert judge_choice(candidate("shrunken-cubic"), 0.8765, none, (), 0.5) == (
+    assert judge_choice(candidate("regularised-cubic"), 0.8765, none, (), 0.5) == (
         "The automatic choice is a regularised cubic polynomial, with a "
         "predicted RMSE of 0.88 px. It is not verified: there are no independent check points.")
     assert judge_choice(candidate("affine"), None, none, (), 0.5) == (

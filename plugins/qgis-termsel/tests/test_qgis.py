@@ -270,7 +270,7 @@ def test_the_dock_switches_between_candidates(told: dict[str, Any], place: Place
     dock = told["dock"]
     candidates = {text.split(",")[0]: (model, taken) for text, model, taken in dock["candidates"]}
     assert candidates["quadratic"] == ("poly3d 2", True)
-    assert candidates["shrunken-cubic"] == ("", False)
+    assert candidates["regularised-cubic"] == ("", False)
     name, asked = dock["asked"]
     assert (name, asked["MODEL"]) == ("termsel:georeference", "poly3d 2")
     name, asked = dock["asked of lines"]

@@ -175,7 +175,7 @@ def test_the_simulated_map_has_the_parts_it_is_made_of() -> None:
 
 def test_a_blunder_smaller_than_the_error_of_any_polynomial_is_found() -> None:
     mine, _ = scattered(1, 100)
-    polynomial = termsel.fit(FeatureSet(mine), "shrunken-cubic").leave_one_out_rmse()
+    polynomial = termsel.fit(FeatureSet(mine), "regularised-cubic").leave_one_out_rmse()
     assert polynomial is not None
     middle = int(np.argmin(np.linalg.norm(mine.image - [3000, 4000], axis=1)))
     image = mine.image.copy()

@@ -72,7 +72,7 @@ def test_grid_search_over_degree_and_strategy_by_blocks() -> None:
     X, y = _scene()
     groups = spatial_blocks(X, across=3)
     search = GridSearchCV(
-        SensorModelRegressor(), {"degree": [2, 3], "strategy": ["least-squares", "shrunken"]},
+        SensorModelRegressor(), {"degree": [2, 3], "strategy": ["least-squares", "regularised"]},
         cv=GroupKFold(3), scoring="neg_root_mean_squared_error", error_score="raise")
     search.fit(X, y, groups=groups)
     mean = search.cv_results_["mean_test_score"]
@@ -95,7 +95,7 @@ def test_blocks_have_as_many_points() -> None:
 @pytest.mark.parametrize(("given", "said"), [
     ({"model": "rmf"}, "unknown model 'rmf'"), ({"strategy": "best"}, "strategy is 'best'"),
     ({"degree": 99}, "option 'degree' does not accept 99"),
-    ({"model": "rfm"}, "control"), ({"degree": 1, "strategy": "shrunken"}, "degree 2"),
+    ({"model": "rfm"}, "control"), ({"degree": 1, "strategy": "regularised"}, "degree 2"),
     ({"model": "dlt3d", "strategy": "selected"}, "degree 2")])
 def test_wrong_parameters_are_value_errors(given: dict[str, object], said: str) -> None:
     X, y = _scene()

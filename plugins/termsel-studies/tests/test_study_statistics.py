@@ -302,7 +302,7 @@ def test_three_runs_each_claim_nothing_for_certain() -> None:
     rng = np.random.default_rng(1)
     held = 0
     for _ in range(200):
-        first, second = rng.normal(0, 1, 8), rng.normal(1, 1, 8)
+        first, second = rng.normal(0, 1, 8).tolist(), rng.normal(1, 1, 8).tolist()
         low, high = effect_size_interval(effect_size(first, second), 8, 8)
         held += low <= 0.760 <= high
     assert held >= 180

@@ -186,7 +186,7 @@ class _WithPhysics(Structure):
         try:
             return self.fit(data)
         except Undetermined:
-            return named("shrunken-cubic").fit(data)
+            return named("regularised-cubic").fit(data)
 
     def describe(self, fitted: Fit) -> str:
         """Return what supported the prior."""
@@ -202,7 +202,7 @@ def _polynomials(degree: int) -> tuple[SensorModel, SensorModel]:
 
 
 _LIMITS = ("affine", "quadratic", "cubic")
-_SHRUNKEN = ("shrunken-quadratic", "shrunken-cubic")
+_SHRUNKEN = ("regularised-quadratic", "regularised-cubic")
 _FAMILY = "the regularised polynomials"
 
 ROBUST = (
@@ -232,14 +232,14 @@ METHODS: tuple[Structure, ...] = (
               estimator=RidgeByOrder(), short="full RFM, ridge", only_shown=True),
     _Selected("selected", "a cubic polynomial of selected terms", *_polynomials(3),
               estimator=ForwardSelection(), short="selected cubic"),
-    Structure("shrunken-quadratic", "a regularised quadratic polynomial", *_polynomials(2),
+    Structure("regularised-quadratic", "a regularised quadratic polynomial", *_polynomials(2),
               estimator=Averaging(), short="regularised quadratic", has_prior=True,
               contains=_LIMITS, family=_FAMILY),
-    Structure("shrunken-cubic", "a regularised cubic polynomial", *_polynomials(3),
+    Structure("regularised-cubic", "a regularised cubic polynomial", *_polynomials(3),
               estimator=Averaging(), short="regularised cubic", has_prior=True, contains=_LIMITS,
               family=_FAMILY),
     _WithField("field", "a cubic polynomial with local deformation", Field3D(), Field(),
-               estimator=Interpolated(), short="local deformation", has_prior=True,
+               estimator=Interpolated(), short="cubic, local deformation", has_prior=True,
                contains=(*_LIMITS, *_SHRUNKEN), family=_FAMILY),
     Structure("tps", "a thin-plate spline", None, ThinPlate(), estimator=Interpolated(),
               short="thin-plate spline", needs=("field",)),

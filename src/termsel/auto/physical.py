@@ -316,7 +316,7 @@ class Physical(Estimator):
                 "the points do not support the sensor-geometry prior of a scanner, a radar or a "
                 "frame camera" + ("" if evidence is None
                                   else f": its probability is {evidence.probability:.2g}"),
-                hint="Choose a polynomial without it, such as shrunken-cubic.")
+                hint="Choose a polynomial without it, such as regularised-cubic.")
         return fit_of(self, model, control, scaling, used, average)
 
     def spread(self, fitted: Fit, ground: FloatArray) -> Spread:
@@ -474,7 +474,7 @@ def _coefficients(camera: Pinhole, model: Projective) -> FloatArray:
     scaled = matrix / matrix[2, 0]
     if not matrix[2, 0] > 0.0:
         raise Undetermined("the middle of the points lies behind the camera",
-                           hint="Choose another model, such as shrunken-cubic.")
+                           hint="Choose another model, such as regularised-cubic.")
     return np.concatenate([scaled[0], scaled[1], scaled[2, 1:]])
 
 

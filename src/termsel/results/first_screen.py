@@ -48,6 +48,8 @@ _CONTRADICTED = 2.0
 """Times the upper end of the predicted RMSE beyond which independent points contradict it."""
 AS_DELIVERED = "rpc-as-delivered"
 """Baseline of an RPC without a correction."""
+_BENDING = ("field", "tps")
+"""Models that follow local deformation."""
 _DEGREE_NAMES = {1: "affine", 2: "quadratic", 3: "cubic"}
 _DIMENSIONS = {"poly2d": "2-D", "poly3d": "3-D"}
 
@@ -110,6 +112,9 @@ def _data(record: Record, brief: int) -> Iterator[Fact]:
     if read.without_height:
         heights = " without heights" if read.without_height == read.points + read.lines else \
             f" ({read.without_height} without a height)"
+        # What a bending model follows may be relief.
+        if record.model in _BENDING and data.crs != LOCAL:
+            heights += " (--dem FILE adds them)"
     crs = "coordinates without a CRS" if data.crs == LOCAL else short(data.crs)
     image_in_file = f" ({read.place})" if read.place else ""
     unit = f"; z in {read.z_unit}" if read.z_unit else ""

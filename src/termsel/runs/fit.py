@@ -37,7 +37,7 @@ def fit(features: Any, model: str | type[SensorModel] | SensorModel | Method = "
         independent or off are left out.
     model : str, class, SensorModel or Method
         Name of a model, or of a method that needs no search: affine, dlt, projective,
-        quadratic, cubic, rfm-2, rfm-3, ridge, selected, shrunken-quadratic, shrunken-cubic,
+        quadratic, cubic, rfm-2, rfm-3, ridge, selected, regularised-quadratic, regularised-cubic,
         huber, tukey. Of a name that both have, the model is taken.
     crs, columns : optional
         As for `termsel.read`, where features are read.
@@ -95,7 +95,7 @@ def _by_method(method: Method, features: FeatureSet) -> Fit:
     with blamed(method, "fit"):
         reason = method.declines(data)
         if reason is not None:
-            raise TermselError(reason, hint="Choose another method, such as shrunken-cubic.")
+            raise TermselError(reason, hint="Choose another method, such as regularised-cubic.")
         return replace(method.fit(data), method=method)
 
 

@@ -99,9 +99,9 @@ def run(
         those of the data is given; for problems that select features only where none is named. A
         prepared task is always run as asked.
     method : str, Method or callable, optional
-        A method in place of "auto", which chooses among them: its name, such as "shrunken-cubic"; a
-        `Method`, such as `Search` with a problem of its own; or a function, as for
-        `FunctionMethod`.
+        A method in place of "auto", which chooses among them: its name, such as
+        "regularised-cubic"; a `Method`, such as `Search` with a problem of its own; or a function,
+        as for `FunctionMethod`.
     seed : int
         Seed of the search.
     generations, evaluations : int, optional

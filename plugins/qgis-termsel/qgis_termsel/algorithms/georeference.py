@@ -62,7 +62,7 @@ def model_named(candidate, model):
     # Its other forms only auto fits.
     if model == "rpc-affine":
         return model if candidate == "rpc-by-affine" else ""
-    return "" if candidate.startswith(("shrunken", "selected")) else model
+    return "" if candidate.startswith(("regularised", "selected")) else model
 
 
 class Georeference(Algorithm):

@@ -83,9 +83,9 @@ class FieldOverRpc:
 class RpcField(RpcAffine):
     """Vendor's RPC with local deformation: collocation over its image positions.
 
-    The image is a shrunken cubic polynomial of where the RPC sees a ground point, and a stationary
-    random field there, averaged over scales as in the model ``field``. Heights enter by the RPC
-    alone. The field takes up any affine function, so that the terms make no difference.
+    The image is a regularised cubic polynomial of where the RPC sees a ground point, and a
+    stationary random field there, averaged over scales as in the model ``field``. Heights enter by
+    the RPC alone. The field takes up any affine function, so that the terms make no difference.
 
     References
     ----------

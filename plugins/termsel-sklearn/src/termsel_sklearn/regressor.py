@@ -28,7 +28,7 @@ from termsel_sklearn.parts import WithOptions, weights_of
 
 STRATEGIES: dict[str, Estimator] = {
     "least-squares": estimator("least-squares"), "ridge": estimator("ridge-by-order"),
-    "shrunken": estimator("averaging"), "selected": estimator("forward-selection"),
+    "regularised": estimator("averaging"), "selected": estimator("forward-selection"),
     "huber": estimator("reweighted", biweight=False),
     "tukey": estimator("reweighted", biweight=True)}
 """How coefficients are found, by name."""
@@ -54,9 +54,9 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, WithOptions):  # ty
         differ, and otherwise that of X and Y.
     degree : int or None
         Option of polynomials; None for the model's own default.
-    strategy : {"least-squares", "ridge", "shrunken", "selected", "huber", "tukey"} or a method
-        How the coefficients of the model are found. "shrunken" averages polynomials of degree 2 or
-        more by their posterior probability; "selected" selects their terms forward; "huber" and
+    strategy : {"least-squares", "ridge", "regularised", "selected", "huber", "tukey"} or a method
+        How the coefficients of the model are found. "regularised" averages polynomials of degree 2
+        or more by their posterior probability; "selected" selects their terms forward; "huber" and
         "tukey" are robust. Or a `termsel.Method`, or the name of one (``termsel list methods``)
         such as "auto": it has models of its own.
     options : dict or None
@@ -134,7 +134,7 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, WithOptions):  # ty
                 return self
             # Heights that are all alike, or absent, say nothing: then the plane model is fitted.
             high, flat = self._models()
-            if self.strategy in ("shrunken", "selected") and (flat.polynomial_degree or 0) < 2:
+            if self.strategy in ("regularised", "selected") and (flat.polynomial_degree or 0) < 2:
                 raise ValueError(f"strategy {self.strategy!r} needs a polynomial of at least "
                                  "degree 2")
             self.fit_ = fit(features, Structure(

@@ -1,7 +1,8 @@
 """A polynomial with a random field: collocation, averaged over its scales.
 
-Line and sample are each a shrunken cubic polynomial (see `termsel.adjustment.bayesian.posterior`),
-a stationary Gaussian random field and noise. The field has the Matern covariance of smoothness 3/2,
+Line and sample are each a regularised cubic polynomial (see
+`termsel.adjustment.bayesian.posterior`), a stationary Gaussian random field and noise. The field
+has the Matern covariance of smoothness 3/2,
 
     (ratio size)^2 (1 + r) exp(-r),   r^2 = 3 ((dl / length_l)^2 + (ds / length_s)^2),
 
