@@ -39,7 +39,7 @@ class Ranking:
     `order` has numbers of candidates, `sigma` the root mean square uncertainty of a position over
     the scene after each of them [px], `sigma_before` the same before: the root mean square of
     `Fit.sigma`, but for the noise of heights. Errors of a spline or a field with heights, or of few
-    points, are as alike as those of the shrunken cubic polynomial of its control.
+    points, are as alike as those of the regularised cubic polynomial of its control.
     """
 
     order: IntArray
@@ -129,7 +129,7 @@ def covariances(original: Fit, ground: FloatArray) -> Spread | None:
 
 def _with_correlations_of_polynomial(spread: Spread, original: Fit, scaled_ground: FloatArray,
                                      image: FloatArray) -> Spread | None:
-    """Return a spread with errors as alike as those of the shrunken cubic polynomial are."""
+    """Return a spread with errors as alike as those of the regularised cubic polynomial are."""
     believed = believed_spread(original.model, original.scaled_control.take(original.used),
                                scaled_ground, image)
     if believed is None or believed.factors is None:

@@ -1,6 +1,6 @@
 """How uncertain a fitted model is at any place.
 
-The truth is believed to be a shrunken cubic polynomial (see
+The truth is believed to be a regularised cubic polynomial (see
 `termsel.adjustment.bayesian.posterior`): its posterior, given the same control points, says how
 likely each other course of the image is between and beyond them. The mean square error of any fit
 at a place is the variance of that posterior there, and the square of the distance of the fit from
