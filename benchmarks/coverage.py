@@ -31,7 +31,7 @@ from termsel.data.record.figures import CONFIDENCE, Predicted
 from termsel.fitting.accuracy import predicted_by, predicted_rmse
 from termsel.simulate.catalogue import SCENES
 from termsel_bench.scenes.cameras import ALL_KINDS, FRESH, image_of
-from termsel_photos.maps import MAP_NAME as OLD_MAP
+from termsel_cameras.maps import MAP_NAME as OLD_MAP
 
 COUNTS = (8, 12, 20, 40, 74)
 FIRST_SPLIT = 100

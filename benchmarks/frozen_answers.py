@@ -33,7 +33,7 @@ from termsel.core.errors import TermselError
 from termsel.data.features import FeatureSet, Points
 from termsel.simulate.catalogue import SCENES
 from termsel.simulate.scenes import simulate_scene
-from termsel_photos import simulate_map
+from termsel_cameras import simulate_map
 from termsel_rpc.simulated import RPC_FILE
 
 TOLERANCE = 1e-6

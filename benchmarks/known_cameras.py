@@ -35,7 +35,7 @@ from termsel.core.threads import one_blas_thread
 from termsel.data.features import FeatureSet, Points
 from termsel.data.fit_data import FitData
 from termsel.fitting.accuracy import predicted_by
-from termsel_photos.known.method import KNOWN_CAMERA
+from termsel_cameras.known.method import KNOWN_CAMERA
 
 FloatArray = NDArray[np.float64]
 

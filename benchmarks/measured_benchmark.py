@@ -126,7 +126,7 @@ them. Each point is hidden once, in frozen folds, and judges what a method makes
 the matches a method sees an eighth. The figure of a set is the median distance of all hidden points
 [px], as a median is not led astray by hidden blunders. The table has the median ratio of this
 figure to the least of all methods on the set. Photos have 6 to 14 points, so that their figures are
-rough. Their focal lengths are stated: `auto`, by termsel-photos, and `opencv` read them, and no
+rough. Their focal lengths are stated: `auto`, by termsel-cameras, and `opencv` read them, and no
 other method can.
 The [datasheet](../reference/datasheet.md#measured-sets) has the sources.
 """

@@ -28,7 +28,7 @@ from termsel.auto.rule import best_of
 from termsel.data.features import FeatureSet, Points
 from termsel.data.fit_data import FitData
 from termsel.simulate.catalogue import SCENES
-from termsel_photos import simulate_map
+from termsel_cameras import simulate_map
 
 COUNTS = (20, 40, 74)
 MAPS: dict[str, dict[str, Any]] = {

@@ -22,7 +22,7 @@ from termsel.data.features import FeatureSet
 from termsel.data.fit_data import FitData
 from termsel.runs.request import auto_of_all
 from termsel_bench.scenes.cameras import ALL_KINDS, CHOSEN, FRESH, Ranges, image_of
-from termsel_scanner.photos import CANDIDATES as CAMERAS
+from termsel_cameras.scanners.photos import CANDIDATES as CAMERAS
 
 COUNTS = (6, 8, 12, 16)
 INDEPENDENT = 100
@@ -30,7 +30,7 @@ KNOWN = ("physical-cubic",)
 """Candidates that know of scanners."""
 
 PHOTOS = tuple(one.name for one in CAMERAS)
-"""Candidates that know of photos, of termsel-scanner."""
+"""Candidates that know of photos, of termsel-cameras."""
 
 OF_PHOTOS = ("frame", "panoramic", "airborne")
 
@@ -112,7 +112,7 @@ The embedded scenes, old maps and the measured or derived sets; {splits} splits 
 
 ## Photos by their equations
 
-Auto with `frame-camera` and `panoramic-camera` (termsel-scanner) next to auto without, on {photos}
+Auto with `frame-camera` and `panoramic-camera` (termsel-cameras) next to auto without, on {photos}
 images of each kind, with {independent} independent points each. The column `sensor` says what the
 photo is; the airborne scanner is said to be a frame. Constants were chosen on images of other
 ranges.

@@ -26,9 +26,9 @@ from termsel.core.threads import one_blas_thread
 from termsel.data.coordinates.wgs84 import to_ecef
 from termsel.data.features import FeatureSet, FloatArray, Points
 from termsel.fitting.rpc_fit import rpc_of
-from termsel_scanner import Radar
-from termsel_scanner.annotation import Annotation, LatticePoint, annotation_of, lattice_of
-from termsel_scanner.radar import zero_doppler
+from termsel_cameras import Radar
+from termsel_cameras.scanners.annotation import Annotation, LatticePoint, annotation_of, lattice_of
+from termsel_cameras.scanners.radar import zero_doppler
 
 PLACES, SEED = 1500, 0
 LIGHT = 299792458.0

@@ -20,8 +20,8 @@ from termsel.data.features import FloatArray, Points
 from termsel.io.read import read
 from termsel.simulate import simulate_scene
 from termsel.simulate.catalogue import SCENES
-from termsel_photos import simulate_map
-from termsel_photos.maps import MAP_NAME as OLD_MAP
+from termsel_cameras import simulate_map
+from termsel_cameras.maps import MAP_NAME as OLD_MAP
 
 ROOT = Path(__file__).parents[1]
 DATA = Path(os.environ.get("TERMSEL_DATA", ROOT.parent / "shared" / "data"))

@@ -29,11 +29,11 @@ from termsel.core.threads import one_blas_thread
 from termsel.data.features import FeatureSet, Points
 from termsel.data.fit_data import FitData
 from termsel.fitting.accuracy import predicted_by
-from termsel_photos.sheets.candidates import usual_projections
-from termsel_photos.sheets.choosing import chosen_of, tried_projections
-from termsel_photos.sheets.paper import matrix_of
-from termsel_photos.sheets.series import SHEET_OF_SERIES
-from termsel_photos.sheets.series_file import Series, in_series, series_of
+from termsel_cameras.sheets.candidates import usual_projections
+from termsel_cameras.sheets.choosing import chosen_of, tried_projections
+from termsel_cameras.sheets.paper import matrix_of
+from termsel_cameras.sheets.series import SHEET_OF_SERIES
+from termsel_cameras.sheets.series_file import Series, in_series, series_of
 
 FloatArray = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""Simulated maps of kinds that `termsel_photos.simulate_map` does not draw.
+"""Simulated maps of kinds that `termsel_cameras.simulate_map` does not draw.
 
 What separates them from a similarity of the ground comes from other mechanisms: rough or smooth
 errors of drawing, folds, sheets that were joined, uneven transport in a scanner, a photo of the

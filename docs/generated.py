@@ -31,9 +31,8 @@ from termsel.selection.solvers.budget import SEARCH_OPTIONS
 
 OF_EVERY_RUN = {"data": DATA_OPTIONS, "search": SEARCH_OPTIONS}
 OWN = ("termsel", "termsel-app", "termsel-bench", "termsel-block", "termsel-formats",
-       "termsel-hybrids", "termsel-iiif", "termsel-match",
-       "termsel-optimisers", "termsel-photos", "termsel-rpc",
-       "termsel-scanner", "termsel-sklearn", "termsel-standards",
+       "termsel-cameras", "termsel-hybrids", "termsel-iiif", "termsel-match",
+       "termsel-optimisers", "termsel-rpc", "termsel-sklearn", "termsel-standards",
        "termsel-studies")
 """Packages of the repository: others that happen to be installed are not documented here."""
 

@@ -19,7 +19,7 @@ from termsel.auto.auto import Auto
 from termsel.data.features import FeatureSet, FloatArray, Points
 from termsel.data.fit_data import FitData
 from termsel.data.monomials import graded_exponents, monomials
-from termsel_photos import simulate_map
+from termsel_cameras import simulate_map
 
 UNITS = (1.0, 0.7)
 

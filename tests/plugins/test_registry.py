@@ -219,7 +219,7 @@ def test_all_that_packages_of_this_project_provide_is_known_without_them(kind):
 def test_all_options_of_packages_of_this_project_are_known_without_them():
     """An option of a package that is not installed is answered with the name of that package."""
     built_in = {option.name for option in READ_OPTIONS}
-    of_packages = {("termsel-photos", option.name) for option in read_options()
+    of_packages = {("termsel-cameras", option.name) for option in read_options()
                    if option not in READ_OPTIONS}
     for kind in KINDS:
         for entry in process_registry().entries(kind):
@@ -236,7 +236,7 @@ def test_all_options_of_packages_of_this_project_are_known_without_them():
 def test_an_option_of_a_package_that_is_left_out_names_it(monkeypatch):
     monkeypatch.setenv("TERMSEL_PLUGINS", "")
     with pytest.raises(TermselError, match=r"unknown option 'camera_focal'.*It is an option of the "
-                                           "package termsel-photos, which is"):
+                                           "package termsel-cameras, which is"):
         by_part({"camera_focal": "3600"}, {"model": ()})
 
 

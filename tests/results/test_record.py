@@ -23,7 +23,7 @@ from termsel.plugins.registry import registry
 from termsel.results.result import Result
 from termsel.results.same_fit import adjustment_figures, fit_of_record, fit_record
 from termsel.simulate import simulate_scene
-from termsel_photos import simulate_map
+from termsel_cameras import simulate_map
 
 QUICK = {"population": 20, "polish": False}
 

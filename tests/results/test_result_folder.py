@@ -18,7 +18,7 @@ from termsel.io.result_folder import read_result, write_result
 from termsel.results.result import Result, of_record
 from termsel.simulate import simulate_scene
 from termsel.testing import example_results
-from termsel_photos import simulate_map
+from termsel_cameras import simulate_map
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 pytest.importorskip("termsel_block", reason="termsel-block is not installed")
-pytest.importorskip("termsel_photos", reason="termsel-photos is not installed")
+pytest.importorskip("termsel_cameras", reason="termsel-cameras is not installed")
 
 from scipy.spatial.transform import Rotation
 

@@ -12,8 +12,8 @@ import pytest
 
 pytest.importorskip("termsel_block", reason="termsel-block is not installed: "
                     "pip install -e plugins/termsel-block")
-pytest.importorskip("termsel_scanner", reason="termsel-scanner is not installed: "
-                    "pip install -e plugins/termsel-scanner")
+pytest.importorskip("termsel_cameras", reason="termsel-cameras is not installed: "
+                    "pip install -e plugins/termsel-cameras")
 
 from termsel import TermselError, read_result, write_result
 from termsel.testing import invoke

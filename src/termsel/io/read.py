@@ -99,7 +99,7 @@ def read(
     crs : str, optional
         CRS of the ground coordinates, where no file declares it: "EPSG:n", "WGS84 UTM 16N", WKT, a
         string of PROJ, "local", or a file that has it: WKT, a raster or a layer; "auto" for degrees
-        on an old map, whose projection is chosen (termsel-photos). By default that
+        on an old map, whose projection is chosen (termsel-cameras). By default that
         in a file NAME.prj next to the points.
     format : str or sequence of str, optional
         Names of the readers, in the order of the files; by default judged by the content.
@@ -129,7 +129,7 @@ def read(
         Coordinates that the file has exchanged; they are exchanged back.
     **options
         Options of the readers, such as `raster` of "qgis-points", and of packages, such as
-        `camera_focal` of termsel-photos.
+        `camera_focal` of termsel-cameras.
 
     Returns
     -------
@@ -149,7 +149,7 @@ def read(
     >>> features.ids
     ('A', 'B')
     """
-    # Options of packages, such as the camera of termsel-photos, are taken apart from those of the
+    # Options of packages, such as the camera of termsel-cameras, are taken apart from those of the
     # readers.
     given_options = {key: value for key, value in options.items() if value is not None}
     of_packages = {option.name: given_options.pop(option.name) for option in read_options()

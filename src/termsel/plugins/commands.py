@@ -60,7 +60,7 @@ PACKAGES = {
         "match-lines": "Find control lines by matching an image with vectors.",
         "match-ties": "Find tie points that two raw images share.",
         "match-example": "Write a simulated image, map and vectors to match."},
-    "termsel_photos": {
+    "termsel_cameras": {
         "map-series": "Find what all sheets of a series share: projection and paper.",
         "flight-camera": "Find the camera that the photos of one flight share."},
     "termsel_standards": {

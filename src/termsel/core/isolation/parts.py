@@ -26,7 +26,7 @@ class Part:
         images, called as `termsel_studies.map_of`. "scheduler": what runs cells, called as
         `termsel_studies.on_cluster`. "certificate": what makes the writer of a certificate, called
         as `termsel_bench.certificate.certifier`. "reading": options of reading, as
-        `termsel_photos.known.reading.CameraOptions` has them.
+        `termsel_cameras.known.reading.CameraOptions` has them.
     value : object
         What the slot takes.
     """

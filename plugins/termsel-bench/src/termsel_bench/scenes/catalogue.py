@@ -160,8 +160,8 @@ def _camera(settings: SetSettings) -> tuple[FeatureSet, Points]:
 
 def _map(settings: SetSettings) -> tuple[FeatureSet, Points]:
     """Return control and independent points of a simulated old map."""
-    with requires("sets of old maps require", "termsel_photos", "./plugins/termsel-photos"):
-        from termsel_photos import simulate_map
+    with requires("sets of old maps require", "termsel_cameras", "./plugins/termsel-cameras"):
+        from termsel_cameras import simulate_map
 
     arguments = {"seed": settings.seed, "n_points": settings.count + INDEPENDENT,
                  **settings.settings}

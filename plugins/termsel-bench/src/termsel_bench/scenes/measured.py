@@ -33,7 +33,7 @@ MEASURED = "measured-"
 """How the names of measured sets begin."""
 
 FOCAL = "camera_focal"
-"""Column of the points with the stated focal length [px], which termsel-photos reads."""
+"""Column of the points with the stated focal length [px], which termsel-cameras reads."""
 
 _SEED = 2026
 

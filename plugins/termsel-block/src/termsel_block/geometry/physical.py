@@ -24,7 +24,7 @@ ABSURD = 0.01
 no measurements."""
 
 MODELS = ("An image without an RPC takes auto, or a model whose terms have priors, such as "
-          "scanner, frame or panoramic of termsel-scanner.")
+          "scanner, frame or panoramic of termsel-cameras.")
 
 _TERM_STEP = 1e-4
 """Change of a term, in its standard deviations, by which places are differentiated."""
@@ -68,7 +68,7 @@ class PhysicalCamera(Camera):
     """A camera by the equations of a model with priors, linearised at each step.
 
     Parameters are the model's terms in the standard deviations of their priors, which stay what the
-    model says: the heaviest is taken for a standard deviation of 1, as terms of termsel-scanner
+    model says: the heaviest is taken for a standard deviation of 1, as terms of termsel-cameras
     have. None of them is dropped.
 
     Parameters

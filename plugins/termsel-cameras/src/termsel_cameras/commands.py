@@ -1,0 +1,136 @@
+"""Commands of this package: what a series of sheets shares, the camera of a flight."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from termsel import FeatureSet, TermselError, read
+from termsel.toolkit import counted, echo, print_table, say_written, write_text
+from termsel.toolkit.coordinates import LOCAL
+from termsel.toolkit.files import require_inside
+
+if TYPE_CHECKING:
+    from termsel_cameras.sheets.series_file import Series
+
+_PATH = click.Path(path_type=Path)
+
+
+@click.command("map-series")
+@click.argument("sheets", nargs=-1, required=True, type=_PATH, metavar="SHEETS...")
+@click.option("--crs", metavar="CRS", default="EPSG:4326", show_default=True,
+              help="CRS of the points of all sheets.")
+@click.option("--prime-meridian", metavar="NAME", help="Meridian that their longitudes count from.")
+@click.option("--candidates", type=_PATH, metavar="FILE",
+              help="Projections to choose from, a CRS a line.")
+@click.option("--century", type=click.IntRange(15, 21), help="Century of the maps.")
+@click.option("--output", "-o", type=_PATH, metavar="FILE.json",
+              help="File of the series to write; the option series takes it.")
+def map_series(sheets: tuple[Path, ...], crs: str, prime_meridian: str | None,
+               candidates: Path | None, century: int | None, output: Path | None) -> None:
+    """Find what all sheets of a series share: their projection, and what their paper is like.
+
+    SHEETS are files of points, a sheet each. The projection that predicts the points of all of them
+    best is chosen. Scale, turn, stretch and shear of the sheets with many points, how much they
+    differ, and what an affine map leaves, are what a sheet of few points borrows.
+
+    \b
+    Examples:
+      termsel map-series sheets/*.csv --prime-meridian ferro
+      termsel map-series sheets/*.csv --candidates mine.txt -o series.json
+      termsel compare --points 'sheets/*.csv' --crs EPSG:4326 --set series=series.json --out result
+    """
+    from termsel_cameras.sheets.series_file import series_of
+
+    meridian = {} if prime_meridian is None else {"prime_meridian": prime_meridian}
+    read_sheets = [read(sheet, crs=crs, **meridian) for sheet in sheets]
+    projection = "" if all(sheet.crs in ("", LOCAL) for sheet in read_sheets) \
+        else _chosen_projection(read_sheets, candidates, century)
+    series = series_of(read_sheets, projection)
+    _say_paper(series)
+    if output is not None:
+        write_text(output, series.text())
+        say_written([output])
+
+
+def _chosen_projection(sheets: list[FeatureSet], candidates: Path | None,
+                       century: int | None) -> str:
+    """Return the projection of the series, and show how well each one predicts."""
+    from termsel_cameras.sheets.choosing import chosen_of, tried_projections
+    from termsel_cameras.sheets.reading import candidates_of
+
+    projections = candidates_of(sheets, None if candidates is None else str(candidates), century)
+    ranked = tried_projections(sheets, projections)
+    best = chosen_of(ranked, projections)
+    print_table(("projection", "predicted px", "CRS"),
+                [(projection.name, f"{projection.rmse:.3g}", projection.crs)
+                 for projection in ranked])
+    echo(f"\nChosen for {len(sheets)} sheets: {best.name}. --set projection='{best.crs}'")
+    return best.crs
+
+
+def _say_paper(series: Series) -> None:
+    """Say what the sheets tell of another one."""
+    from termsel_cameras.sheets.paper import paper_of
+
+    if not series.sheets:
+        echo("No sheet has the 4 points that tell what the paper is like.")
+        return
+    paper = paper_of(series.sheets)
+    scale, turn, stretch, shear = paper.spreads
+    echo(f"Paper by {len(series.sheets)} sheets: {math.exp(paper.means[0]):.5g} px by unit of "
+         f"ground, to {100 * scale:.2g} %; turn {math.degrees(paper.means[1]):.3g} deg, to "
+         f"{math.degrees(turn):.2g}; stretch {100 * paper.means[2]:.2g} %, to {100 * stretch:.2g}; "
+         f"shear {100 * paper.means[3]:.2g} %, to {100 * shear:.2g}; an affine map leaves "
+         f"{paper.noise:.3g} px.")
+
+
+def _read_photo(photo: Path, crs: str | None, size: tuple[int, int]) -> FeatureSet:
+    """Return the points of a photo, all of which must lie in it."""
+    features = read(photo, crs=crs)
+    try:
+        require_inside(features, size, photo)
+    except TermselError as error:
+        error.hint = f"{error.hint} The size is that of --size, lines first."
+        raise
+    return features
+
+
+@click.command("flight-camera")
+@click.argument("photos", nargs=-1, required=True, type=_PATH, metavar="PHOTOS...")
+@click.option("--crs", metavar="CRS", help="CRS of the points of all photos.")
+@click.option("--size", nargs=2, type=int, metavar="LINES SAMPLES", required=True,
+              help="Size of the photos [px].")
+@click.option("--focal", type=click.FloatRange(0, min_open=True), metavar="PX",
+              help="Rough focal length, where it is known.")
+@click.option("--output", "-o", type=_PATH, required=True, metavar="FILE.json",
+              help="Camera file to write; the option camera takes it.")
+def flight_camera(photos: tuple[Path, ...], crs: str | None, size: tuple[int, int],
+                  focal: float | None, output: Path) -> None:
+    """Find the camera that all photos of one flight share, from their control points.
+
+    PHOTOS are files of points with heights, a photo each. Focal length and radial distortion are
+    those that the points of all photos together support.
+
+    \b
+    Examples:
+      termsel flight-camera photos/*.csv --crs EPSG:32633 --size 3648 5472 -o camera.json
+      termsel compare --points 'photos/*.csv' --crs EPSG:32633 --set camera=camera.json --out result
+    """
+    import json
+
+    from termsel_cameras.known.sharing import shared_camera
+
+    read_photos = [_read_photo(photo, crs, size) for photo in photos]
+    camera = shared_camera(read_photos, size, focal)
+    content = {"focal": round(camera.focal, 3), "focal_spread": round(camera.spread, 6),
+               "distortion": [round(camera.k1, 8)],
+               "source": f"{camera.photos} photos, {camera.points} control points"}
+    write_text(output, json.dumps(content, indent=2) + "\n")
+    echo(f"Focal length {camera.focal:,.1f} px, to {100 * camera.spread:.2g} %; "
+         f"k1 {camera.k1:.3g}; "
+         f"{camera.sigma:.2g} px of {camera.points} points in {counted(camera.photos, 'photo')}.")
+    say_written([output])

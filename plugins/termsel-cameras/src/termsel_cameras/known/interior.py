@@ -1,0 +1,258 @@
+"""What is known of a camera before its points are looked at, as columns of the points state it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from termsel import FeatureSet, Option, TermselError
+from termsel_cameras.known.cameras import SurveyCamera, camera_named
+
+FOCAL_SPREAD = 0.01
+"""Relative standard deviation of a focal length that is stated in px: film shrinks and scans are
+enlarged by some parts in a thousand."""
+
+SCANNED_SPREAD = 0.03
+"""The same where the scale of a scan is told by its width, which margins enlarge."""
+
+REACH = 0.002
+"""Scale of the prior of the principal point about the middle of the image, by its half diagonal."""
+
+STATED_REACH = 0.0005
+"""The same about a principal point that is stated."""
+
+POSITION_SPREAD = 50.0
+"""Standard deviation of a position without one [m]: a navigator's, or a phone's at worst."""
+
+HEIGHT_SPREAD = 0.1
+"""Relative standard deviation of a flying height: as flight plans were kept."""
+
+OPTIONS = (
+    Option("camera", None, "Name of the photo's camera, such as wild-rc30-153, or a camera file "
+                           "NAME.json."),
+    Option("camera_focal", None, "Focal length: 3131.8 [px], or 153.2mm with camera_pixel or the "
+                                 "name of a camera."),
+    Option("camera_pixel", None, "Size of a pixel on the film or sensor [um], such as 21."),
+    Option("camera_principal_point", None, "Line and sample of the principal point [px]: "
+                                           "703,749.5. By default the middle of the image."),
+    Option("camera_distortion", None, "k1,k2,p1,p2,k3 of the lens, as OpenCV and OpenDroneMap "
+                                      "state them; fewer are the first of these."),
+    Option("camera_position", None, "Rough position of the camera in the CRS of the points: x,y,z, "
+                                    "or x,y,z,s with its standard deviation [m]."),
+    Option("camera_height", None, "Rough flying height above the ground [m]."))
+"""Options of reading; columns of the points have the same names."""
+
+NAMES = tuple(option.name for option in OPTIONS)
+
+
+@dataclass(frozen=True)
+class Interior:
+    """What is known of a camera and of its place.
+
+    Parameters
+    ----------
+    focal : float
+        [px].
+    focal_spread : float
+        Relative standard deviation of it.
+    line, sample : float
+        Principal point [px]; NaN where nothing tells it.
+    reach : float
+        Scale of its prior [px].
+    distortion : tuple of 5 floats
+        See `Lens`.
+    position : tuple of 3 floats
+        Rough place in the CRS of the points; NaN where it is not known.
+    position_spread : float
+        Its standard deviation [m].
+    height : float
+        Flying height above the ground [m]; NaN where it is not known.
+    source : str
+        What told it.
+    """
+
+    focal: float
+    focal_spread: float = FOCAL_SPREAD
+    line: float = np.nan
+    sample: float = np.nan
+    reach: float = np.nan
+    distortion: tuple[float, ...] = (0.0,) * 5
+    position: tuple[float, ...] = (np.nan,) * 3
+    position_spread: float = POSITION_SPREAD
+    height: float = np.nan
+    source: str = "the focal length that is stated"
+
+
+def interior_of(features: FeatureSet) -> Interior | None:
+    """Return what columns of the points say of their camera; None where they do not say it.
+
+    Raises
+    ------
+    TermselError
+        If what they say cannot be understood, or does not suffice for a focal length in px.
+    """
+    stated = {name: value for name in NAMES if (value := _stated(features, name))}
+    if "camera" not in stated and "camera_focal" not in stated:
+        return None
+    size = features.image_size
+    named = camera_named(stated["camera"]) if "camera" in stated else None
+    if isinstance(named, SurveyCamera):
+        interior = _of_type(named, stated, size)
+    elif named is not None:
+        interior = _of_file(named, stated["camera"])
+    else:
+        interior = _of_focal(stated, None, size)
+    interior = _with_middle(interior, stated, size)
+    if "camera_distortion" in stated:
+        interior = replace(interior, distortion=_numbers(stated, "camera_distortion", range(1, 6)))
+    return _with_place(interior, stated)
+
+
+def _stated(features: FeatureSet, name: str) -> str:
+    """Return the one value that a column has, or ""."""
+    values = {str(value).strip() for value in features.points.attributes.get(name, ())} - {""}
+    if len(values) > 1:
+        raise TermselError(f"the column {name!r} has {len(values)} values, and an image one camera",
+                           hint="Read the points of each image by themselves.")
+    return values.pop() if values else ""
+
+
+def _of_focal(stated: Mapping[str, str], named: SurveyCamera | None,
+              size: tuple[int, int] | None) -> Interior:
+    """Return the focal length that is stated in px, or in mm with the size of a pixel."""
+    text = stated["camera_focal"].lower().replace(" ", "")
+    if not text.endswith("mm"):
+        (focal,) = _numbers({"camera_focal": text.removesuffix("px")}, "camera_focal", (1,))
+        return Interior(_positive(focal, "camera_focal"))
+    (mm,) = _numbers({"camera_focal": text.removesuffix("mm")}, "camera_focal", (1,))
+    pixel, spread = _pixel(stated, named, size)
+    # What calibrations leave of a focal length in mm is nothing next to the scan.
+    return Interior(_positive(mm, "camera_focal") / pixel, np.hypot(spread, 0.001),
+                    source=f"the focal length of {mm:g} mm")
+
+
+def _of_type(named: SurveyCamera, stated: Mapping[str, str],
+             size: tuple[int, int] | None) -> Interior:
+    """Return what is known of a camera of a type."""
+    if "camera_focal" in stated:
+        interior = _of_focal(stated, named, size)
+    else:
+        pixel, spread = _pixel(stated, named, size)
+        interior = Interior(named.focal / pixel, float(np.hypot(spread, named.spread)))
+    return replace(interior, distortion=tuple(named.distortion),
+                   source=f"the camera {stated['camera']} ({named.source})")
+
+
+def interior_of_file(path: str) -> Interior:
+    """Return what a camera file says.
+
+    Raises
+    ------
+    TermselError
+        If there is none, or it is of a type, whose pixels only an image tells.
+    """
+    content = camera_named(path)
+    if isinstance(content, SurveyCamera):
+        raise TermselError(f"the camera {path!r} is a type, whose focal length in px is not known",
+                           hint="State focal in px, or a camera file NAME.json.")
+    return _of_file(content, path)
+
+
+def _of_file(content: Mapping[str, Any], path: str) -> Interior:
+    """Return what a camera file says."""
+    values = {name: _listed(content.get(name)) for name in (
+        "focal", "focal_spread", "principal_point", "distortion")}
+    (focal,) = _numbers({f"focal of {path}": values["focal"]}, f"focal of {path}", (1,))
+    interior = Interior(_positive(focal, f"focal of {path}"), source=f"the camera file {path}")
+    if values["focal_spread"]:
+        (spread,) = _numbers(values, "focal_spread", (1,))
+        interior = replace(interior, focal_spread=_positive(spread, "focal_spread"))
+    if values["principal_point"]:
+        line, sample = _numbers(values, "principal_point", (2,))
+        interior = replace(interior, line=line, sample=sample)
+    if values["distortion"]:
+        interior = replace(interior, distortion=_numbers(values, "distortion", range(1, 6)))
+    return interior
+
+
+def _listed(value: Any) -> str:
+    """Return a number or a list of them as the text that options have."""
+    if value is None:
+        return ""
+    return ",".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
+
+
+def _pixel(stated: Mapping[str, str], named: SurveyCamera | None,
+           size: tuple[int, int] | None) -> tuple[float, float]:
+    """Return the size of a pixel [mm], and its relative standard deviation."""
+    if "camera_pixel" in stated:
+        text = stated["camera_pixel"].lower().removesuffix("um").strip()
+        (pixel,) = _numbers({"camera_pixel": text}, "camera_pixel", (1,))
+        return _positive(pixel, "camera_pixel") / 1e3, 0.003
+    if named is None or size is None:
+        lacks = "the size of a pixel" if named is None else "the size of the image"
+        raise TermselError(f"a focal length in mm does not tell that in px without {lacks}",
+                           hint="State camera_pixel in um, or the image: --image FILE.")
+    # A photo that was turned for display is as wide as its camera is high.
+    lengths = sorted((named.width, named.height))
+    pixels = sorted(size)
+    pixel = lengths[1] / pixels[1]
+    if named.pixels == (0, 0):
+        return pixel, SCANNED_SPREAD
+    # A sensor has its pixels, or as many as an enlargement of it; a scan has any number.
+    enlarged = pixels[1] / max(named.pixels)
+    same_shape = abs(pixels[0] - min(named.pixels) * enlarged) < 0.01 * pixels[0]
+    return pixel, 0.002 if same_shape else SCANNED_SPREAD
+
+
+def _with_middle(interior: Interior, stated: Mapping[str, str],
+                 size: tuple[int, int] | None) -> Interior:
+    """Return an interior with the principal point, where the image or an option tells it."""
+    # Half the diagonal of the image, of which the scale of the prior of the principal point is a
+    # share.
+    half = np.nan if size is None else float(np.hypot(*size)) / 2
+    if "camera_principal_point" in stated:
+        line, sample = _numbers(stated, "camera_principal_point", (2,))
+        interior = replace(interior, line=line, sample=sample)
+    if np.isfinite(interior.line):
+        return replace(interior, reach=STATED_REACH * (interior.focal if size is None else half))
+    if size is None:
+        return interior
+    line, sample = (np.array(size) - 1.0) / 2.0
+    return replace(interior, line=float(line), sample=float(sample), reach=REACH * half)
+
+
+def _with_place(interior: Interior, stated: Mapping[str, str]) -> Interior:
+    """Return an interior with the rough place of the camera, where it is stated."""
+    if "camera_position" in stated:
+        x, y, z, *spread = _numbers(stated, "camera_position", (3, 4))
+        interior = replace(interior, position=(x, y, z))
+        if spread:
+            interior = replace(interior, position_spread=_positive(spread[0], "camera_position"))
+    if "camera_height" in stated:
+        (height,) = _numbers(stated, "camera_height", (1,))
+        interior = replace(interior, height=_positive(height, "camera_height"))
+    return interior
+
+
+def _numbers(stated: Mapping[str, str], name: str, counts: Any) -> tuple[float, ...]:
+    """Return the numbers of a text such as "1,2,3", of which there are as many as one count."""
+    try:
+        numbers = tuple(float(number) for number in stated[name].replace(";", ",").split(","))
+    except ValueError:
+        numbers = ()
+    if len(numbers) not in counts or not np.isfinite(numbers).all():
+        raise TermselError(f"{name} does not accept {stated[name]!r:.80}",
+                           hint="It takes a number." if counts in ((1,), [1]) else
+                           f"It takes {' or '.join(map(str, counts))} numbers with commas "
+                           "between.")
+    return numbers
+
+
+def _positive(number: float, name: str) -> float:
+    if not number > 0.0:
+        raise TermselError(f"{name} is {number:g}, which is not positive", hint="Check its sign.")
+    return number

@@ -1,0 +1,223 @@
+"""A photo with a known camera as a candidate of auto."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from termsel import (
+    Adjustment,
+    Estimator,
+    Experience,
+    FeatureSet,
+    Fit,
+    FitData,
+    HeldOut,
+    Method,
+    Scaling,
+    SensorModel,
+    Spread,
+    Undetermined,
+)
+from termsel.toolkit import BoolArray
+from termsel.toolkit.models import Pinhole, camera_next_to
+from termsel_cameras.known.interior import Interior, interior_of
+from termsel_cameras.known.lens import FloatArray
+from termsel_cameras.known.model import TAILS, KnownFrame
+
+FEWEST = 3
+"""Points that determine the place and the turn of a camera."""
+
+MISFIT = 25.0
+"""Standard deviation of a measurement [px] beyond which the points are not those of the camera, or
+`MISFIT_PART` of their half extent, if that is more."""
+
+MISFIT_PART = 0.05
+
+_STEP = 1e-4
+
+
+@dataclass(frozen=True)
+class ByKnownCamera(Estimator):
+    """The camera of a known interior by points with heavy-tailed errors."""
+
+    name = "known-camera"
+
+    def fit(self, model: Any, control: FeatureSet, scaling: Scaling, terms: BoolArray,
+            used: BoolArray) -> Fit:
+        """Fit a camera (see `Estimator.fit`) with all its terms."""
+        ready = model.prepared(scaling, control.crs)
+        in_use = control.take(used)
+        return self._written(ready, ready.camera(scaling.features(in_use), control.noise),
+                             control, scaling, used)
+
+    def refit(self, fitted: Fit, control: FeatureSet) -> Fit:
+        """Return the camera of other control points that is next to that of a fit."""
+        model = fitted.model
+        assert isinstance(model, KnownFrame)
+        measured = model.measured(fitted.scaling.features(control), control.noise)
+        near = camera_next_to(measured, _camera_of(fitted).camera)
+        if near is None:
+            raise Undetermined("no camera next to the one that was found has all points in front",
+                               hint="Check the added points.")
+        return self._written(model, near, control, fitted.scaling,
+                             np.ones(len(control), dtype=bool))
+
+    def _written(self, model: KnownFrame, camera: Pinhole, control: FeatureSet,
+                 scaling: Scaling, used: BoolArray) -> Fit:
+        """Return the fit that a camera is of the points in use."""
+        in_use = control.take(used)
+        values = model.values_of(camera.camera)
+        equations = 2 * len(in_use)
+        count = round(camera.effective)
+        errors = _errors_of(model, camera, scaling.features(in_use).points.image)
+        # Coefficients have no variances of their own: the spread of positions is that of the
+        # cameras under the prior, see `spread`.
+        adjustment = Adjustment(values, np.full(len(values), np.nan), count, equations,
+                                rank=count, condition=np.nan, sigma0=camera.sigma, converged=True)
+        return Fit(model, scaling, control, np.ones(len(values), dtype=bool), used, adjustment,
+                   estimator=self, trace=camera.effective,
+                   stored_held_out=HeldOut.of(errors * scaling.image_scale, in_use))
+
+    def spread(self, fitted: Fit, ground: FloatArray) -> Spread:
+        """Return the mean square errors at scaled places (see `Estimator.spread`).
+
+        A measurement with Student's errors tells (t + 2) / (t + 4) of what a normal one of the
+        same scale does, and its variance is t / (t - 2) of the square of that.
+        """
+        model = fitted.model
+        assert isinstance(model, KnownFrame)
+        camera = _camera_of(fitted)
+        design, _ = camera.measured.system(
+            camera.camera, np.ones((1, len(camera.measured.image))), camera.sigma)
+        _, r = np.linalg.qr(design[0])
+        slopes = _through_lens(model, camera, model.local(ground))
+        factors = np.linalg.solve(r.T, slopes.reshape(-1, r.shape[1]).T).T.reshape(slopes.shape)
+        factors = factors * np.sqrt((TAILS + 4.0) / (TAILS + 2.0))
+        noise = camera.sigma**2 * TAILS / (TAILS - 2.0)
+        return Spread((factors**2).sum(axis=2), np.full(2, noise), factors)
+
+    def experience(self, fitted: Fit) -> Experience:
+        """Return how well points of photos are usually measured."""
+        measured = _camera_of(fitted).measured
+        return Experience(measured.experience, measured.unknowns, measured.tails)
+
+
+def _errors_of(model: KnownFrame, camera: Pinhole, image: FloatArray) -> FloatArray:
+    """Return measured minus predicted of each point by the others, as the lens has them."""
+    ideal = camera.measured.image
+    return np.asarray(image - model.with_lens(ideal - camera.errors))
+
+
+def _through_lens(model: KnownFrame, camera: Pinhole, ground: FloatArray) -> FloatArray:
+    """Return derivatives of what is seen of places (m, 3) by the unknowns, (m, 2, 9)."""
+    slopes: FloatArray = camera.camera.slopes(ground)[0]
+    if model.lens.is_ideal:
+        return slopes
+    ideal = camera.camera.image(ground)[0]
+    bent = np.empty((len(ideal), 2, 2))
+    for axis in range(2):
+        step = _STEP * np.eye(2)[axis]
+        bent[:, :, axis] = (model.with_lens(ideal + step) - model.with_lens(ideal - step)) \
+            / (2 * _STEP)
+    return np.asarray(bent @ slopes)
+
+
+def _camera_of(fitted: Fit) -> Pinhole:
+    """Return the camera that a fit was made of."""
+    model = fitted.model
+    assert isinstance(model, KnownFrame)
+    in_use = fitted.control.take(fitted.used)
+    return model.camera(fitted.scaling.features(in_use), in_use.noise)
+
+
+@dataclass(frozen=True, eq=False)
+class KnownCamera(Method):
+    """The camera that columns of the points, options of reading or the image's EXIF tell."""
+
+    def declines(self, control: FitData) -> str | None:
+        """Return why no camera is known, or the points are not for one.
+
+        What is said wrongly of a camera is an error, which the run tells.
+        """
+        features = control.features
+        interior = interior_of(features)
+        if interior is None:
+            return "the focal length of a camera is not stated"
+        if len(features.lines) or len(features.points) < FEWEST:
+            return f"it is for {FEWEST} control points or more, without lines"
+        if features.without_height():
+            return "it needs heights, as by --dem FILE"
+        return None
+
+    def fit(self, control: FitData) -> Fit:
+        """Fit the camera by all features."""
+        interior = _interior(control)
+        mirrored = is_mirrored(control)
+        model = KnownFrame.of(interior, mirrored=mirrored)
+        fitted = self.estimator.fit(model, control.features, control.scaling,
+                                    np.ones(len(model.terms), dtype=bool),
+                                    np.ones(len(control), dtype=bool))
+        sigma = fitted.adjustment.sigma0 * control.scaling.image_scale
+        largest_sigma = max(MISFIT, MISFIT_PART * control.scaling.image_scale)
+        if sigma > largest_sigma:
+            raise Undetermined(
+                f"the points are not those of {interior.source}: they leave {sigma:.0f} px, and "
+                f"the most is {largest_sigma:.0f} px",
+                hint="Check the focal length, the points and heights.")
+        return fitted
+
+    def refit(self, fitted: Fit, data: FitData) -> Fit:
+        """Return the camera of more points that is next to that of a fit."""
+        assert isinstance(self.estimator, ByKnownCamera)
+        return self.estimator.refit(fitted, data.features)
+
+    def model(self, heights: bool) -> SensorModel | None:
+        """Return None: the model depends on the camera."""
+        return None
+
+    def size(self, heights: bool) -> float:
+        """Return 0: what is known comes before what is fitted."""
+        return 0.0
+
+    def describe(self, fitted: Fit) -> str:
+        """Return what told the camera, and how it stood."""
+        model = fitted.model
+        assert isinstance(model, KnownFrame)
+        interior = _interior(FitData.of(fitted.control))
+        camera = model.camera_of(fitted.adjustment.coefficients[None])
+        # The angle between the view and the vertical: cos = -R33 of the rotation from ground to
+        # camera.
+        tilt = np.degrees(np.arccos(np.clip(-camera.rotation[0, 2, 2], -1.0, 1.0)))
+        scaled = fitted.scaling.features(fitted.control.take(fitted.used))
+        ground = model.local(scaled.points.ground)
+        height = model.unit * (camera.position[0, 2] - ground[:, 2].mean())
+        focal = camera.focal[0] * fitted.scaling.image_scale
+        return (f"The camera is known by {interior.source}. It looked {tilt:.0f} deg off the "
+                "vertical "
+                f"from {height:,.0f} m above the points, with a focal length of {focal:,.0f} px.")
+
+
+def _interior(control: FitData) -> Interior:
+    interior = interior_of(control.features)
+    if interior is None:
+        raise Undetermined("the focal length of the camera is not stated",
+                           hint="State it: --set camera_focal=3131.8, in px.")
+    return interior
+
+
+def is_mirrored(control: FitData) -> bool:
+    """Return whether the image is mirrored: lines run to the left of samples from above."""
+    points = control.features.points
+    plan = control.scaled.points.ground[:, :2]
+    columns = np.column_stack([np.ones(len(plan)), plan])
+    slopes = np.linalg.lstsq(columns, points.image, rcond=None)[0][1:]
+    # Scaled ground axes run east and north, lines downwards.
+    return bool(np.linalg.det(slopes) < 0.0)
+
+
+KNOWN_CAMERA = KnownCamera("known-camera", "a frame camera of known focal length",
+                           short="known camera", estimator=ByKnownCamera(), has_prior=True,
+                           judges_blunders=True, from_one=True)

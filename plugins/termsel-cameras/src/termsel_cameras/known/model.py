@@ -1,0 +1,346 @@
+"""The collinearity equations of a camera whose interior is known."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from termsel import (
+    Equations,
+    FeatureSet,
+    Option,
+    SensorModel,
+    TermselError,
+    Undetermined,
+    image_equations,
+)
+from termsel.toolkit import SensorFigure, camera_figures, exterior_orientation
+from termsel.toolkit.coordinates import LOCAL, is_geographic, to_ecef
+from termsel.toolkit.models import Cameras, Measured, Pinhole, camera_of, cameras_of, rotations
+from termsel_cameras.known.interior import STATED_REACH, Interior, interior_of_file
+from termsel_cameras.known.lens import FloatArray, Lens
+from termsel_cameras.known.turns import vector_of
+
+TAILS = 4.0
+"""Degrees of freedom of measurements: few are wild, but more than normal errors are (Lange, Little
+and Taylor 1989)."""
+
+USUAL, EXPERIENCE = 2.0, 2.0
+"""Standard deviation of a measurement as it usually is [px], and the degrees of freedom that this
+counts as next to residuals."""
+
+STATED_EXPERIENCE = 8.0
+"""The same where the points state it."""
+
+LEAST = 0.1
+"""Least standard deviation of a measurement [px]."""
+
+TILT = 0.1
+"""Scale of the prior of the sine of a camera's tilt, with long tails. Most photos for maps are
+vertical, within 3 deg (Manual of Photogrammetry), those of the war and of small aircraft within 6;
+but some are oblique."""
+
+SOMEWHERE = 0.3
+"""Scale of the prior of the principal point about the middle of the control, by its half extent,
+where nothing tells it."""
+
+UNKNOWNS = 6
+
+APART = 0.05
+"""Part of its distance by which two places of a camera differ, if they are two."""
+
+ALIKE = 6.0
+"""Twice the logarithm of the likelihood by which two cameras must differ, if points tell them."""
+
+CAMERA_FILE = Option("camera", None, "A camera file NAME.json: focal, principal point and "
+                                     "distortion; options that are given come before it.")
+
+_STEP = 1e-5
+
+TERMS = ("turn-line", "turn-sample", "turn-view", "shift-line", "shift-sample", "shift-view",
+         "focal", "middle-line", "middle-sample")
+
+
+def options_of_camera(path: str) -> dict[str, Any]:
+    """Return the options that a camera file stands for."""
+    known = interior_of_file(path)
+    options: dict[str, Any] = {"focal": known.focal, "focal_spread": known.focal_spread,
+                               "distortion": ",".join(map(repr, known.distortion))}
+    if np.isfinite(known.line):
+        options |= {"line": known.line, "sample": known.sample,
+                    "reach": STATED_REACH * known.focal}
+    return options
+
+
+class KnownFrame(SensorModel):
+    """Frame camera with a known interior: collinearity equations with the lens of a calibration.
+
+    Terms are the turn of the camera against one that looks straight down with lines to the south,
+    as a vector, the place of the middle of the control in its axes, the logarithm of the focal
+    length by the known one, and the principal point by the known one. The last three have priors.
+
+    References
+    ----------
+    Brown 1971, Photogrammetric Engineering 37(8), for the distortion; Kraus 2007, Photogrammetry,
+    for the collinearity equations. The priors are termsel's own.
+    """
+
+    name = "known-frame"
+    declared_options = (
+        CAMERA_FILE,
+        Option("focal", 1.0, "Focal length [px].", float, 1e-6, 1e9),
+        Option("focal_spread", 0.01, "Relative standard deviation of it.", float, 1e-9, 10.0),
+        Option("line", None, "Line of the principal point [px].", float, -1e9, 1e9),
+        Option("sample", None, "Sample of the principal point [px].", float, -1e9, 1e9),
+        Option("reach", None, "Scale of the prior of the principal point [px].", float, 0.0, 1e9),
+        Option("distortion", "0,0,0,0,0", "k1, k2, p1, p2 and k3 of the lens."),
+        Option("position", "", "Rough position of the camera in the CRS of the points."),
+        Option("position_spread", 50.0, "Its standard deviation [m].", float, 1e-9, 1e9),
+        Option("height", None, "Rough flying height above the ground [m].", float, 0.0, 1e9),
+        Option("height_spread", 0.1, "Relative standard deviation of it.", float, 1e-9, 10.0),
+        Option("mirrored", False, "Whether the scan is mirrored, as of a negative.", bool))
+
+    @classmethod
+    def of(cls, interior: Interior, *, mirrored: bool) -> KnownFrame:
+        """Return the model of what is known of a camera."""
+        def text(numbers: tuple[float, ...]) -> str:
+            return ",".join(map(repr, numbers))
+
+        def number(value: float) -> float | None:
+            return float(value) if np.isfinite(value) else None
+
+        return cls(focal=float(interior.focal), focal_spread=float(interior.focal_spread),
+                   line=number(interior.line), sample=number(interior.sample),
+                   reach=number(interior.reach), distortion=text(interior.distortion),
+                   position=text(interior.position) if np.isfinite(interior.position).all() else "",
+                   position_spread=float(interior.position_spread), height=number(interior.height),
+                   mirrored=mirrored)
+
+    def __init__(self, camera: str | None = None, **options: Any) -> None:
+        # What the file says is recorded, not its name: it may be elsewhere later.
+        of_file = {} if camera is None else options_of_camera(CAMERA_FILE.parse(camera))
+        super().__init__(**{**of_file, **options})
+        self.lens = Lens(*map(float, self.options["distortion"].split(",")))
+
+    @property
+    def terms(self) -> tuple[str, ...]:
+        """Names of the terms."""
+        return TERMS
+
+    # Coordinates: metres of a tangent plane on the ground, scaled ones of an ideal lens in the
+    # image.
+
+    def local(self, ground: FloatArray) -> FloatArray:
+        """Return scaled places (n, 3) in units of `unit`, east, north and up of the middle."""
+        if self.scaling is None:
+            raise TermselError("the model is not prepared: its position on Earth is not known",
+                               hint="Fit it, or call its method prepared first.")
+        return self._metres(ground) / self.unit
+
+    @cached_property
+    def unit(self) -> float:
+        """Metres by one unit of scaled places: the half extent of the control."""
+        corners = np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 1.0, 0.0]])
+        west, east, south, north = self._metres(corners)
+        return float(max(np.linalg.norm(east - west), np.linalg.norm(north - south))) / 2.0
+
+    def _metres(self, ground: FloatArray) -> FloatArray:
+        assert self.scaling is not None
+        if self.crs in ("", LOCAL):
+            return np.asarray(ground * np.array(self.scaling.ground_scale))
+        origin, axes = self._frame
+        return np.asarray((to_ecef(self.geographic(ground)) - origin) @ axes.T)
+
+    @cached_property
+    def _frame(self) -> tuple[FloatArray, FloatArray]:
+        """Middle of the control, Earth-fixed, and east, north and up there, as rows."""
+        middle = self.geographic(np.zeros((1, 3)))
+        lon, lat = np.radians(middle[0, :2])
+        east = np.array([-np.sin(lon), np.cos(lon), 0.0])
+        up = np.array([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
+        return to_ecef(middle)[0], np.stack([east, np.cross(up, east), up])
+
+    @cached_property
+    def principal(self) -> FloatArray:
+        """Principal point [px]; the middle of the control where nothing tells it."""
+        assert self.scaling is not None
+        stated = self.options["line"], self.options["sample"]
+        return np.array(self.scaling.image_offset if None in stated else stated)
+
+    @property
+    def reach(self) -> float:
+        """Scale of the prior of the principal point, scaled."""
+        assert self.scaling is not None
+        stated = self.options["reach"]
+        return SOMEWHERE if stated is None else stated / self.scaling.image_scale
+
+    @property
+    def focal(self) -> float:
+        """Focal length that is known, scaled."""
+        assert self.scaling is not None
+        return float(self.options["focal"]) / self.scaling.image_scale
+
+    def without_lens(self, image: FloatArray) -> FloatArray:
+        """Return scaled image positions (..., 2) as an ideal lens would have them."""
+        return self._through(image, self.lens.ideal)
+
+    def with_lens(self, image: FloatArray) -> FloatArray:
+        """Return scaled image positions (..., 2) of an ideal lens as this one has them."""
+        return self._through(image, self.lens.distorted)
+
+    def _through(self, image: FloatArray, bend: Any) -> FloatArray:
+        """Return scaled image positions once the lens has bent their rays, or straightened them."""
+        if self.lens.is_ideal:
+            return image
+        assert self.scaling is not None
+        away = (self.scaling.pixels(image) - self.principal) / self.options["focal"]
+        # The lens counts x, along samples, first.
+        bent = bend(away[..., ::-1])[..., ::-1]
+        return self.scaling.image(self.principal + self.options["focal"] * bent)
+
+    # The camera by points.
+
+    def measured(self, features: FeatureSet, noise: float | None) -> Measured:
+        """Return scaled control points with all that is known of the camera."""
+        assert self.scaling is not None
+        points = features.points
+        scale = self.scaling.image_scale
+        sigma = points.sigma
+        weights = np.ones((len(points), 2)) if sigma is None else np.median(sigma) / sigma
+        stated = noise if sigma is None else float(np.median(sigma)) * scale
+        ground = self.local(points.ground)
+        position, spread = self._position(ground)
+        return Measured(
+            ground, self.without_lens(points.image), weights,
+            self.scaling.image(self.principal), self.reach, self.focal, np.ones(3),
+            LEAST / scale, focal_spread=float(self.options["focal_spread"]), place=position,
+            place_spread=spread, tilt=TILT, tails=TAILS, unknowns=UNKNOWNS,
+            usual=(USUAL if stated is None else stated) / scale,
+            experience=EXPERIENCE if stated is None else STATED_EXPERIENCE)
+
+    def _position(self, ground: FloatArray) -> tuple[FloatArray | None, FloatArray | None]:
+        """Return the rough place of the camera and its standard deviations, by `unit`."""
+        position = np.full(3, np.nan)
+        spread = np.full(3, np.nan)
+        height = self.options["height"]
+        if height is not None:
+            position[2] = ground[:, 2].mean() + height / self.unit
+            spread[2] = self.options["height_spread"] * height / self.unit
+        if self.options["position"]:
+            assert self.scaling is not None
+            stated = np.array([list(map(float, self.options["position"].split(",")))])
+            position = self.local(self.scaling.ground(stated))[0]
+            spread = np.full(3, self.options["position_spread"] / self.unit)
+        return (position, spread) if np.isfinite(position).any() else (None, None)
+
+    def camera(self, features: FeatureSet, noise: float | None) -> Pinhole:
+        """Return the camera that scaled control points support.
+
+        Raises
+        ------
+        Undetermined
+            If none has all points in front, or two see them alike.
+        """
+        measured = self.measured(features, noise)
+        camera = camera_of(measured)
+        if camera is None:
+            raise Undetermined("no camera of this focal length has all control points in front",
+                               hint="Check the focal length and the heights.")
+        if len(features.points) == 3:
+            return self._of_three(measured, camera)
+        return camera
+
+    def _of_three(self, measured: Measured, camera: Pinhole) -> Pinhole:
+        """Return the camera of three points, which up to four cameras see alike (Grunert 1841)."""
+        cameras = cameras_of(measured)
+        rows = np.ones((len(cameras), 3))
+        costs = measured.costs(cameras, rows, camera.sigma)
+        far = np.linalg.norm(cameras.position[0])
+        # Cameras that cost nearly the same and stand elsewhere: the points do not tell them apart.
+        distances = np.linalg.norm(cameras.position - cameras.position[0], axis=1)
+        elsewhere = distances > APART * far
+        as_good = costs < costs[0] + ALIKE
+        if not (as_good & elsewhere)[1:].any():
+            return camera
+        raise Undetermined("two cameras see the three control points alike",
+                           hint="State a rough flying height, --set camera_height=1500, or measure "
+                                "a fourth point.")
+
+    def values_of(self, camera: Cameras) -> FloatArray:
+        """Return the values of terms of one camera, (9,)."""
+        turn = vector_of(camera.rotation[0] @ self._downwards.T)
+        middle = camera.middle[0] - self._middle
+        return np.array([*turn, *camera.shift[0], np.log(camera.focal[0] / self.focal), *middle])
+
+    def camera_of(self, values: FloatArray) -> Cameras:
+        """Return the cameras of values of terms (s, 9)."""
+        rotation = rotations(values[:, :3]) @ self._downwards
+        return Cameras(rotation, values[:, 3:6], self.focal * np.exp(values[:, 6]),
+                               self._middle + values[:, 7:])
+
+    @property
+    def _downwards(self) -> FloatArray:
+        """Rotation of a camera that looks straight down with lines to the south."""
+        turned = -1.0 if self.options["mirrored"] else 1.0
+        return np.array([[0.0, -1.0, 0.0], [turned, 0.0, 0.0], [0.0, 0.0, -1.0]])
+
+    @property
+    def _middle(self) -> FloatArray:
+        assert self.scaling is not None
+        return np.asarray(self.scaling.image(self.principal))
+
+    # What a sensor model does.
+
+    def sensor_figures(self, coefficients: FloatArray) -> tuple[SensorFigure, ...]:
+        """Return place, angles, focal length and principal point of the camera."""
+        assert self.scaling is not None
+        camera = self.camera_of(np.asarray(coefficients)[None])
+        focal = float(camera.focal[0]) * self.scaling.image_scale
+        unit = "deg" if is_geographic(self.crs) else "m"
+        orientation = exterior_orientation(camera.rotation[0], camera.position[0], self.local,
+                                           self.scaling, unit)
+        return camera_figures(orientation, focal, self.scaling.pixels(camera.middle)[0])
+
+    def project(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
+        """Return image positions of ground points, shape (..., n, 2); NaN behind the camera."""
+        values = np.reshape(coefficients, (-1, len(TERMS)))
+        ideal = self.camera_of(values).image(self.local(ground))
+        return self.with_lens(ideal).reshape(*np.shape(coefficients)[:-1], len(ground), 2)
+
+    def denominators(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
+        """Return distances from the camera along its view, for both axes, (..., n, 2)."""
+        values = np.reshape(coefficients, (-1, len(TERMS)))
+        far = self.camera_of(values).in_camera_axes(self.local(ground))[..., 2]
+        return np.stack([far, far], axis=-1).reshape(
+            *np.shape(coefficients)[:-1], len(ground), 2)
+
+    def start(self, features: FeatureSet) -> FloatArray:
+        """Return the robust solution."""
+        return self.values_of(self.camera(features, None).camera)
+
+    def equations(self, features: FeatureSet) -> Equations:
+        """Return the equations about the start."""
+        return self.linearised(features, self.start(features))
+
+    def linearised(self, features: FeatureSet, coefficients: FloatArray) -> Equations:
+        """Return the equations about a solution, with the priors of the interior."""
+        assert self.scaling is not None
+        derivatives = []
+        constants = []
+        for ground in (features.points.ground, features.lines.ground.reshape(-1, 3)):
+            # Central differences: image(x) is about image(x0) + J (x - x0), so that the constant
+            # of the linear model is image(x0) - J x0.
+            steps = _STEP * np.eye(len(TERMS))
+            shifted = self.project(np.concatenate([coefficients + steps, coefficients - steps]),
+                                   ground)
+            jacobian = np.moveaxis(shifted[:len(TERMS)] - shifted[len(TERMS):], 0, -1) / (2 * _STEP)
+            derivatives.append(jacobian)
+            constants.append(self.project(coefficients, ground) - jacobian @ coefficients)
+        equations = image_equations(features, *derivatives, *constants)
+        noise = USUAL / self.scaling.image_scale
+        prior = np.zeros(len(TERMS))
+        prior[6] = noise / self.options["focal_spread"]
+        prior[7:] = noise / self.reach
+        return Equations(equations.A, equations.b, equations.feature, prior)

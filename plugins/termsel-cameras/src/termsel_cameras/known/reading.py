@@ -1,0 +1,125 @@
+"""Where a camera is read from: options, and the EXIF of the image."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from termsel import FeatureSet, TermselError, open_raster
+from termsel.toolkit import with_dataset
+from termsel.toolkit.coordinates import LOCAL, transformation
+from termsel_cameras.known.cameras import CAMERAS
+from termsel_cameras.known.interior import NAMES, OPTIONS, interior_of
+
+DIAGONAL = float(np.hypot(36.0, 24.0))
+"""Of film of 36 mm by 24, to which equivalent focal lengths refer [mm]."""
+
+EXIF_POSITION_SPREAD = 30.0
+"""Standard deviation of a position in EXIF [m]: heights of drones count from the take-off."""
+
+_DIGITS = re.compile(r"\d+(?:\.\d+)?")
+
+
+class CameraOptions:
+    """Options of reading that say what is known of the camera of a photo."""
+
+    options = OPTIONS
+
+    def read(self, features: FeatureSet, options_given: Mapping[str, Any],
+             image: Path | str | None) -> FeatureSet:
+        """Return features with what options say of the camera as columns of the points.
+
+        Without options and columns the EXIF of the image tells it, where there is one.
+        """
+        stated = {name: str(options_given[name]) for name in NAMES
+                  if options_given.get(name) is not None}
+        attributes = features.points.attributes
+        tells = {"camera", "camera_focal"}
+        if image is not None and not tells & stated.keys() and not tells & attributes.keys():
+            stated = {**of_exif(Path(image), features), **stated}
+        if not stated:
+            return features
+        if not len(features.points):
+            raise TermselError("the camera of a photo is for control points, and there are none",
+                               hint="Leave the options of the camera out.")
+        columns = {name: np.array([value] * len(features.points), dtype=object)
+                   for name, value in stated.items()}
+        described = replace(features, points=replace(
+            features.points, attributes={**attributes, **columns}))
+        # What somebody types is refused where it cannot be understood; the choice of a model would
+        # only pass over this camera.
+        if any(options_given.get(name) is not None for name in NAMES):
+            interior_of(described)
+        return described
+
+
+def of_exif(image: Path, features: FeatureSet) -> dict[str, str]:
+    """Return what the EXIF of an image tells of its camera; nothing where it is silent."""
+    with open_raster(image) as raster:
+        size = int(raster.height), int(raster.width)
+        tags = with_dataset(raster, exif_tags)
+    focal = _focal_of(tags, size)
+    if not focal:
+        return {}
+    return {**focal, **_position_of(tags, features.crs)}
+
+
+def exif_tags(dataset: Any) -> dict[str, str]:
+    """Return the EXIF tags of an open image, as GDAL names them, without its prefix."""
+    return {name.removeprefix("EXIF_"): value for name, value in dataset.tags().items()
+            if name.startswith("EXIF_")}
+
+
+def _focal_of(tags: Mapping[str, str], size: tuple[int, int]) -> dict[str, str]:
+    """Return the camera by its name, or else its focal length [px]; nothing where none is told."""
+    model = " ".join((tags.get("Make", ""), tags.get("Model", ""))).strip().lower()
+    name = model.replace(" ", "-")
+    if name in CAMERAS:
+        return {"camera": name}
+    pixels = float(np.hypot(*size))
+    equivalent = _first(tags.get("FocalLengthIn35mmFilm", ""))
+    if equivalent > 0.0:
+        return {"camera_focal": f"{equivalent / DIAGONAL * pixels:.1f}"}
+    focal = _first(tags.get("FocalLength", ""))
+    per_unit = _first(tags.get("FocalPlaneXResolution", ""))
+    # Millimetres of EXIF's units of resolution: 2 is an inch, 3 a centimetre.
+    unit = {2: 25.4, 3: 10.0}.get(round(_first(tags.get("FocalPlaneResolutionUnit", "2"))), 0.0)
+    # The resolution is of the sensor, of which the image may be a smaller copy.
+    if focal > 0.0 and per_unit > 0.0 and unit > 0.0:
+        full_width = _first(tags.get("PixelXDimension", "")) or max(size)
+        return {"camera_focal": f"{focal / unit * per_unit * max(size) / full_width:.1f}"}
+    return {}
+
+
+def _position_of(tags: Mapping[str, str], crs: str) -> dict[str, str]:
+    """Return the place of the camera in a CRS, as the option states it; nothing if not told."""
+    latitude, longitude = (_degrees(tags.get(f"GPS{name}", "")) for name in ("Latitude",
+                                                                             "Longitude"))
+    if crs in ("", LOCAL) or latitude is None or longitude is None or "GPSAltitude" not in tags:
+        return {}
+    south = tags.get("GPSLatitudeRef", "N").strip().upper() == "S"
+    west = tags.get("GPSLongitudeRef", "E").strip().upper() == "W"
+    position = np.array([[-longitude if west else longitude, -latitude if south else latitude,
+                       _first(tags["GPSAltitude"])]])
+    x, y, z = transformation("EPSG:4979", crs)(position)[0].tolist()
+    return {"camera_position": f"{x!r},{y!r},{z!r},{EXIF_POSITION_SPREAD:g}"}
+
+
+def _first(text: str) -> float:
+    """Return the first number of a tag such as "(8.8)"; 0 without one."""
+    match = _DIGITS.search(text)
+    return float(match.group()) if match else 0.0
+
+
+def _degrees(text: str) -> float | None:
+    """Return degrees of "(46) (30) (12.3)"; None of another text."""
+    numbers = [float(number) for number in _DIGITS.findall(text)]
+    if len(numbers) != 3:
+        return None
+    degrees, minutes, seconds = numbers
+    return degrees + minutes / 60.0 + seconds / 3600.0

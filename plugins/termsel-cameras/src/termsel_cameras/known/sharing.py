@@ -1,0 +1,208 @@
+"""The camera that photos of one flight share, from the control points of all.
+
+For a focal length f and a radial distortion k1 each photo has its own best place and turn, and a
+cost, twice the minus logarithm of its likelihood (see `Measured`). The sum of the costs over all
+photos is the profile of f and k1: its least value is the shared camera, and where it is larger by
+1, f is one standard deviation off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from termsel import FeatureSet, FitData, TermselError
+from termsel.toolkit.models import Measured, Pinhole, camera_next_to, camera_of
+from termsel_cameras.known.interior import REACH, Interior
+from termsel_cameras.known.lens import FloatArray
+from termsel_cameras.known.method import is_mirrored
+from termsel_cameras.known.model import KnownFrame
+from termsel_cameras.roles import without_independent
+
+MIN_POINTS_OF_PHOTO = 4
+"""Points of a photo from which on it says something of its camera."""
+
+FOCALS_TRIED, FOCALS_TRIED_NEAR = 9, 7
+"""Focal lengths that are tried at first, and about the best of them."""
+
+SHORTEST_FOCAL, LONGEST_FOCAL = 0.4, 6.0
+"""Least and largest focal length, by the longer side of the photo."""
+
+DISTORTIONS = (-0.1, -0.05, -0.02, 0.0, 0.02, 0.05)
+"""Radial distortions k1 that are tried."""
+
+HELD = 1e-6
+"""Relative standard deviation that holds a focal length where it is tried."""
+
+WIDTHS = (0.02, 0.01)
+"""Differences of log f and of k1 by which the cost is bent at first."""
+
+FARTHEST, ROUNDS = 4.0, 6
+"""Largest step, by these, and how many are taken."""
+
+USUAL_DISTORTION = 0.03
+"""Standard deviation of k1 beforehand."""
+
+
+@dataclass(frozen=True)
+class SharedCamera:
+    """The camera of all photos.
+
+    Parameters
+    ----------
+    focal : float
+        [px].
+    spread : float
+        Relative standard deviation of it.
+    k1 : float
+        See `Lens`.
+    sigma : float
+        Root mean square of what its measurements leave, with robust weights [px].
+    photos, points : int
+        How many told it.
+    """
+
+    focal: float
+    spread: float
+    k1: float
+    sigma: float
+    photos: int
+    points: int
+
+
+def shared_camera(photos: Sequence[FeatureSet], size: tuple[int, int],
+                  focal: float | None = None) -> SharedCamera:
+    """Return the camera that photos share, found from the control points of all.
+
+    Parameters
+    ----------
+    photos : sequence of FeatureSet
+        With heights, each of `MIN_POINTS_OF_PHOTO` points at least; others say nothing and are left
+        out, as are independent check points.
+    size : tuple of int
+        Lines and samples of all photos.
+    focal : float, optional
+        Rough focal length [px].
+
+    Raises
+    ------
+    TermselError
+        If no photo tells the camera.
+    """
+    data = [FitData.of(replace(photo, image_size=size))
+            for photo in map(without_independent, photos)
+            if len(photo.points) >= MIN_POINTS_OF_PHOTO and not photo.without_height()]
+    if not data:
+        raise TermselError(f"no photo has {MIN_POINTS_OF_PHOTO} control points with heights",
+                           hint="Measure more points, and give them heights.")
+    flight = _Flight(data)
+    longer = float(max(size))
+    ends = (SHORTEST_FOCAL * longer, LONGEST_FOCAL * longer)
+    if focal is not None:
+        ends = (0.8 * focal, 1.25 * focal)
+    step = (ends[1] / ends[0]) ** (1.0 / (FOCALS_TRIED - 1))
+    best = flight.least(np.geomspace(*ends, FOCALS_TRIED), 0.0)
+    best = flight.least(best * np.geomspace(1.0 / step, step, FOCALS_TRIED_NEAR), 0.0)
+    costs = np.array([flight.penalised_cost(best, distortion) for distortion in DISTORTIONS])
+    start = np.array([np.log(best), DISTORTIONS[int(np.argmin(costs))]])
+    solution, covariance = _least_of_two(
+        lambda values: flight.penalised_cost(float(np.exp(values[0])), float(values[1])), start)
+    shared_focal = float(np.exp(solution[0]))
+    spread = float(np.clip(np.sqrt(covariance[0, 0]), 1e-4, 0.1))
+    sigma = flight.cost(shared_focal, float(solution[1]))[1]
+    return SharedCamera(shared_focal, spread, float(solution[1]), sigma, photos=len(data),
+                        points=sum(len(photo) for photo in data))
+
+
+class _Flight:
+    """Photos with the cameras that were found for them last, from which others are found."""
+
+    def __init__(self, photos: Sequence[FitData]) -> None:
+        self.photos = photos
+        self.mirrored = [is_mirrored(photo) for photo in photos]
+        self.cameras: list[Pinhole | None] = [None] * len(photos)
+
+    def least(self, focals: FloatArray, k1: float) -> float:
+        """Return the focal length of the least cost."""
+        costs = [self.cost(float(focal), k1)[0] for focal in focals]
+        if not np.isfinite(costs).any():
+            raise TermselError("no focal length has all control points in front of the cameras",
+                               hint="Check lines, samples and heights.")
+        return float(focals[int(np.argmin(costs))])
+
+    def cost(self, focal: float, k1: float) -> tuple[float, float]:
+        """Return the costs of all photos together, and the noise that they leave [px]."""
+        total = 0.0
+        squares = []
+        for i, photo in enumerate(self.photos):
+            model = self._model(i, focal, k1)
+            camera = self._camera(i, model.measured(photo.scaled, photo.features.noise))
+            if camera is None:
+                return np.inf, np.inf
+            self.cameras[i] = camera
+            rows = np.ones((1, len(photo)))
+            # Twice the minus logarithm of the likelihood, whose size depends on the noise, too.
+            total += float(camera.measured.costs(camera.camera, rows, camera.sigma)[0]) \
+                + 4.0 * len(photo) * float(np.log(camera.sigma))
+            squares.append((camera.sigma * photo.scaling.image_scale) ** 2)
+        return total, float(np.sqrt(np.median(squares)))
+
+    def penalised_cost(self, focal: float, k1: float) -> float:
+        """Return the costs of all photos and that of a distortion, which is small beforehand."""
+        return self.cost(focal, k1)[0] + (k1 / USUAL_DISTORTION) ** 2
+
+    def _model(self, i: int, focal: float, k1: float) -> KnownFrame:
+        """Return the model of a photo with a focal length and a distortion that are held."""
+        photo = self.photos[i]
+        size = photo.features.image_size
+        assert size is not None
+        line, sample = (np.array(size) - 1.0) / 2.0
+        reach = REACH * float(np.hypot(*size)) / 2.0
+        distortion = (k1, 0.0, 0.0, 0.0, 0.0)
+        interior = Interior(focal, HELD, float(line), float(sample), reach, distortion)
+        return KnownFrame.of(interior, mirrored=self.mirrored[i]).prepared(
+            photo.scaling, photo.features.crs)
+
+    def _camera(self, i: int, measured: Measured) -> Pinhole | None:
+        """Return the camera of a photo: next to the last one, farther away as f is longer."""
+        before = self.cameras[i]
+        if before is None:
+            return camera_of(measured)
+        grown = measured.focal / before.camera.focal
+        shift = before.camera.shift * np.array([1.0, 1.0, float(grown[0])])
+        start = replace(before.camera, shift=shift, focal=np.array([measured.focal]))
+        return camera_next_to(measured, start) or camera_of(measured)
+
+
+def _least_of_two(cost: Callable[[FloatArray], float],
+                  start: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return where a cost of log f and k1 is least, and their covariance (2, 2).
+
+    Newton steps by differences: a longer focal length and a distortion do nearly the same to a
+    photo, so that neither can be found with the other held.
+    """
+    best = start
+    least = cost(best)
+    widths = np.array(WIDTHS)
+    covariance = np.diag(widths**2)
+    for _ in range(ROUNDS):
+        ahead = np.array([cost(best + step) for step in np.diag(widths)])
+        behind = np.array([cost(best - step) for step in np.diag(widths)])
+        both = cost(best + widths)
+        if np.isfinite([*ahead, *behind, both]).all():
+            slopes = (ahead - behind) / 2.0
+            bends = np.diag(ahead + behind - 2.0 * least)
+            bends[0, 1] = bends[1, 0] = both - ahead.sum() + least
+            if np.linalg.eigvalsh(bends)[0] > 0.0:
+                # The cost is -2 log likelihood, so that its Hessian is twice the inverse of theirs.
+                covariance = 2.0 * np.linalg.inv(bends) * np.outer(widths, widths)
+                step = np.clip(-np.linalg.solve(bends, slopes), -FARTHEST, FARTHEST) * widths
+                stepped = cost(best + step)
+                if stepped < least:
+                    best, least = best + step, stepped
+                    if (np.abs(step) > widths).any():
+                        continue
+        widths = widths / 2.0
+    return best, covariance

@@ -1,0 +1,98 @@
+"""A simulated aerial photo: a frame camera over hills, its film distorted and scanned.
+
+A wide-angle camera looks almost straight down. Its lens distorts the image radially about a
+principal point that is not the middle of the scan. All measurements are simulated; the sizes are
+those of a photo of 23 cm that is scanned with 60 micrometres.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from termsel import DatasetSpec, FeatureSet, Points
+from termsel_cameras.radial import FloatArray
+
+ROLES = ("control", "check", "independent")
+
+PHOTO_NAME = "aerial-photo"
+CRS = "EPSG:32633"
+
+SIZE = (3800, 3800)
+"""Lines and samples of the scan [px]."""
+
+FOCAL = 2500.0
+"""Of the camera [px]."""
+
+HEIGHT = 3000.0
+"""Of the camera above the plane of heights 0 [m]."""
+
+RELIEF = 60.0
+"""Of the hills above and below their mean [m]."""
+
+CENTRE = (1990.0, 1800.0)
+"""Principal point, centre of the distortion [px]."""
+
+DISTORTION = (7.0e-9, -6.0e-16)
+"""k1 [px^-2] and k2 [px^-4] of the correction of measured places (Brown 1971)."""
+
+TURNS = (0.02, -0.015, 0.7)
+"""Omega, phi and kappa of the camera [rad]."""
+
+NOISE = 0.5
+
+ORIGIN = (400000.0, 4000000.0)
+
+DIGITS = 6
+"""Decimals of measured places [px]."""
+
+_PHOTO_POINTS, _PHOTO_SEED, _ADJUSTING_STEPS = 120, 1971, 50
+
+
+def photo() -> FeatureSet:
+    """Return the measured points of the photo: easting, northing in UTM zone 33 and height [m]."""
+    rng = np.random.default_rng(_PHOTO_SEED)
+    # Ground beyond the image on all sides, so that its corners have points, too.
+    reach = 0.62 * SIZE[0] / FOCAL * HEIGHT
+    ground = rng.uniform(-reach, reach, (20 * _PHOTO_POINTS, 3))
+    ground[:, 2] = RELIEF * (np.sin(ground[:, 0] / 700.0) + np.cos(ground[:, 1] / 900.0)) / 2
+    image = seen(ground)
+    inside = ((image > 40) & (image < np.array(SIZE) - 40)).all(axis=1)
+    ground = ground[inside][:_PHOTO_POINTS]
+    image = image[inside][:_PHOTO_POINTS]
+    # Rounded: processors differ in the last bits.
+    image = (image + NOISE * rng.standard_normal(image.shape)).round(DIGITS)
+    roles = tuple(ROLES[i % 3] for i in range(len(image)))
+    points = Points(tuple(f"A{i + 1:03d}" for i in range(len(image))), image,
+                    ground + np.array([*ORIGIN, 0.0]), None, roles)
+    return FeatureSet(points, crs=CRS, image_size=SIZE, noise=NOISE)
+
+
+def seen(ground: FloatArray) -> FloatArray:
+    """Return where ground points are in the scan [px], shape (n, 2), without noise.
+
+    `ground`, shape (n, 3), is from the point below the camera [m].
+    """
+    omega, phi, kappa = TURNS
+    (sin_omega, cos_omega), (sin_phi, cos_phi), (sin_kappa,
+        cos_kappa) = ((np.sin(a), np.cos(a)) for a in (omega, phi, kappa))
+    # R = R_x(omega) R_y(phi) R_z(kappa).
+    turned = (np.array([[1, 0, 0], [0, cos_omega, -sin_omega], [0, sin_omega, cos_omega]])
+              @ np.array([[cos_phi, 0, sin_phi], [0, 1, 0], [-sin_phi, 0, cos_phi]])
+              @ np.array([[cos_kappa, -sin_kappa, 0], [sin_kappa, cos_kappa, 0], [0, 0, 1]]))
+    x, y, z = ((ground - [0.0, 0.0, HEIGHT]) @ turned).T
+    # Lines count downwards.
+    ideal = FOCAL * np.column_stack([y / z, -x / z])
+    distorted = ideal.copy()
+    # Brown's distortion acts on measured places, so that the ideal one is inverted by steps.
+    k1, k2 = DISTORTION
+    # m + m (k1 r^2 + k2 r^4) = ideal.
+    for _ in range(_ADJUSTING_STEPS):
+        squared = (distorted**2).sum(axis=1, keepdims=True)
+        distorted = ideal / (1.0 + k1 * squared + k2 * squared**2)
+    return distorted + CENTRE
+
+
+PHOTO = DatasetSpec(
+    PHOTO_NAME, "simulated aerial photo of hills, 1.2 m: 120 points, with radial distortion", photo,
+    simulated=True)
+"""The embedded photo."""

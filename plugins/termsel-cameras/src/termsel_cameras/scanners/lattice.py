@@ -1,0 +1,137 @@
+"""The lattice of points of a Sentinel-1 product, read as control."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from termsel import FeatureSet, Option, Points, Reader, TermselError, open_raster
+from termsel_cameras.scanners.annotation import (
+    Annotation,
+    FloatArray,
+    annotation_file,
+    annotation_of,
+    is_annotation,
+    lattice_of,
+)
+from termsel_cameras.scanners.product import HINT, Image, chosen, images_of, is_image
+from termsel_cameras.scanners.radar import BISTATIC, Radar
+
+log = logging.getLogger(__name__)
+
+ACROSS = 6
+"""Lines of the lattice that is computed for a burst."""
+
+WITHOUT = ("Note: %s has no annotation beside it. With that (annotation/s1...xml of its product) "
+           "the orbit and the timing would be known, and positions between the lattice's points "
+           "exact; without it they are interpolated.")
+
+
+class SentinelLattice(Reader):
+    """The lattice of points of a Sentinel-1 image, from its product or its annotation.
+
+    The points were computed by the processor, not measured: line and pixel, longitude, latitude and
+    height above the ellipsoid. Lines and samples count from the centre of the first pixel, in the
+    tags of an image, too, which GDAL takes as counted from its corner. The column `sensor` names
+    the annotation, by which the model `radar` knows orbit and timing.
+
+    Polarisations of one swath have the same geometry, so that any of them is read.
+    """
+
+    name = "sentinel-1"
+    summary = "Sentinel-1 product: .SAFE folder, its zip, an annotation (XML) or an image (TIFF)"
+    folders = True
+    declared_options = (
+        Option("swath", None, "Swath of a product that has several, such as IW2."),
+        Option("polarisation", None, "Polarisation of a product that has several, such as VV."),
+        Option("burst", None, "Number of the burst, from 1, of an SLC image of the modes IW and "
+                              "EW; lines are those of the whole image.",
+               type=int, minimum=1, maximum=1000),
+        BISTATIC)
+
+    def sniff(self, path: Path, head: bytes) -> bool:
+        """Return True for an annotation, a product's folder or zip, or an image of one."""
+        return is_annotation(path, head) or is_image(path, head) or bool(images_of(path))
+
+    def read(self, path: Path) -> FeatureSet:
+        """Return the points; errors name the file and the element."""
+        images = images_of(path)
+        if not images and is_image(path, _head(path)):
+            log.warning(WITHOUT, path.name)
+            return self._of_tags(path)
+        swath = self.options["swath"] or ""
+        polarisation = self.options["polarisation"] or ""
+        file = annotation_file(path, swath, polarisation)
+        if images:
+            _say_choice(chosen(images, path, swath, polarisation))
+        annotation = annotation_of(str(file))
+        columns = {"bistatic": "true"} if self.options["bistatic"] else {}
+        if self.options["burst"] is not None:
+            columns["burst"] = str(self.options["burst"])
+            return _of_burst(annotation, file, columns)
+        points = lattice_of(file)
+        image = np.array([[point.line, point.sample] for point in points])
+        ground = np.array([[point.longitude, point.latitude, point.height] for point in points])
+        return _features(annotation, image, ground, str(file), columns)
+
+    def _of_tags(self, path: Path) -> FeatureSet:
+        """Return the points in the tags of an image, counted from the centre of the first pixel."""
+        with open_raster(path) as raster:
+            gcps = raster.gcps[0]
+            size = raster.shape
+        if not gcps:
+            raise TermselError("this image has no ground control points, and no annotation "
+                               "beside it", file=path, hint=HINT)
+        image = np.array([[gcp.row, gcp.col] for gcp in gcps], dtype=np.float64)
+        ground = np.array([[gcp.x, gcp.y, np.nan if gcp.z is None else gcp.z] for gcp in gcps],
+                          dtype=np.float64)
+        return FeatureSet(Points(_names(image), image, ground), crs="EPSG:4979", image_size=size)
+
+
+def _head(path: Path) -> bytes:
+    try:
+        with path.open("rb") as file:
+            return file.read(1 << 16)
+    except OSError:
+        return b""
+
+
+def _say_choice(images: tuple[Image, ...]) -> None:
+    """Say which polarisation is read, where there are several."""
+    names = [image.polarisation for image in images]
+    if len(names) > 1:
+        log.warning("Note: the polarisations %s have one geometry; that of %s is read. --set "
+                    "polarisation=... chooses another.", ", ".join(names), names[0])
+
+
+def _names(image: FloatArray) -> tuple[str, ...]:
+    return tuple(f"L{line:g}P{sample:g}" for line, sample in image)
+
+
+def _features(annotation: Annotation, image: FloatArray, ground: FloatArray, sensor: str,
+              columns: Mapping[str, str]) -> FeatureSet:
+    """Return points that name the annotation, and the options of its radar as columns."""
+    attributes = {name: np.array([value] * len(image), dtype=object)
+                  for name, value in {"sensor": sensor, **columns}.items()}
+    return FeatureSet(Points(_names(image), image, ground, attributes=attributes),
+                      crs="EPSG:4979", image_size=annotation.size)
+
+
+def _of_burst(annotation: Annotation, file: Path, options: Mapping[str, str]) -> FeatureSet:
+    """Return a lattice over one burst, computed by its radar at the heights of the product's.
+
+    The product's own has a line for each burst, on which bursts overlap.
+    """
+    radar = Radar(metadata=str(file), **options)
+    points = lattice_of(file)
+    first = annotation.bursts[radar.options["burst"] - 1].line
+    lines = np.linspace(first, first + annotation.lines_per_burst - 1, ACROSS).round()
+    samples = np.unique([point.sample for point in points])
+    image = np.stack(np.meshgrid(lines, samples, indexing="ij"), axis=-1).reshape(-1, 2)
+    ground = radar.on_ground(image, np.array([
+        [point.longitude, point.latitude, point.height] for point in points]))
+    seen = np.isfinite(ground).all(axis=1)
+    return _features(annotation, image[seen], ground[seen], str(file), options)

@@ -1,0 +1,409 @@
+"""Frame and panoramic cameras of the textbooks, with priors for what nobody wrote down."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from termsel import (
+    FeatureSet,
+    Fit,
+    FitData,
+    Method,
+    Option,
+    SensorModel,
+    Undetermined,
+)
+from termsel.toolkit import SensorFigure, camera_figures, exterior_orientation
+from termsel.toolkit.coordinates import is_geographic
+from termsel.toolkit.models import pinhole_of, view_of
+from termsel_cameras.scanners.candidate import sensor_of
+from termsel_cameras.scanners.orbit import axes_at, geocentric
+from termsel_cameras.scanners.physical import FloatArray, Physical, RobustFit, known
+
+TURN, SCALE = 3.0, 1.0
+"""Standard deviations of the turn about the vertical [rad] and of the logarithm of the scale, about
+those of an affine transformation: as good as nothing is known."""
+
+TILT = 0.1
+"""Standard deviation of the camera's tilts [rad]: vertical photos are tilted by 3 deg at most
+(Manual of Photogrammetry), those of the war and of small aircraft by more."""
+
+OBLIQUE_TILT = 1.0
+"""The same of oblique photos, whose tilt is not known beforehand."""
+
+OBLIQUE = 0.6
+"""Distance of the nearest point from the camera, by that of the middle, up to which a view is
+oblique."""
+
+FOCAL, FOCAL_SPREAD = 2.0, 0.6
+"""Focal length by the half extent of the control in the image, and the standard deviation of its
+logarithm: film of 23 cm went with 88 to 305 mm, or 0.8 to 2.7, and with 610 mm."""
+
+MIDDLE = 0.3
+"""Standard deviation of the principal point, by the half extent of the control: the control need
+not be in the middle of the image."""
+
+RADIAL = 3.0
+"""Standard deviation of the distortion at the half extent [px]."""
+
+FILM = 1e-3
+"""Standard deviation of affinity and shear of film and scan."""
+
+MOTION = 0.02
+"""Standard deviation of the image motion that is compensated while the slit swings, by the focal
+length."""
+
+RELIEF = 2e-3
+"""Heights off a plane (root of the sum of squares) by the spread of the control, up to which they
+tell nothing: half of it, by the spread in the image, is as much as can be measured."""
+
+MIN_PHOTO_POINTS, MAX_PHOTO_POINTS = 6, 20
+"""Numbers of points for which the candidates are: more tell as much as the physics."""
+
+AMISS = 2.0
+"""Misfit of points and priors together, by what it is expected to be, beyond which a camera is not
+of this kind: it is at most about 1.2 where it is, and seldom below 3 where it is not."""
+
+
+class Photo(Physical):
+    """A camera that looks down from one place; see `Frame` and `Panoramic`."""
+
+    free = 2
+    declared_options = (
+        Option("mirrored", False, "Whether the scan is mirrored, as of a negative.", bool),
+        Option("oblique", False, "Whether the camera looks towards the horizon rather than down.",
+               bool))
+
+    @property
+    def tilt(self) -> float:
+        """Standard deviation of the camera's tilts [rad]."""
+        return OBLIQUE_TILT if self.options["oblique"] else TILT
+
+    def local(self, ground: FloatArray) -> FloatArray:
+        """Return scaled places in metres east, north and up of the control's middle, (n, 3)."""
+        # A local frame is plane already.
+        if self.crs in ("", "local"):
+            return np.asarray(ground * known(self.scaling).ground_scale)
+        # In space, as the Earth bends by metres within a photo.
+        middle = self.geographic(np.zeros((1, 3)))
+        axes = axes_at(*middle[0, :2])
+        return np.asarray((geocentric(self.geographic(ground)) - geocentric(middle)) @ axes.T)
+
+    def starts(self, features: FeatureSet) -> FloatArray:
+        """Return the values of terms from which a fit begins: those of an affine transformation."""
+        slopes = self.slopes_of(features)
+        # How north is seen tells the turn; the area of a unit square tells the scale.
+        turn = np.arctan2(slopes[1, 1], slopes[0, 1])
+        starts = np.zeros((3, len(self.terms)))
+        starts[:, self.terms.index("turn")] = turn / TURN
+        starts[:, self.terms.index("scale")] = np.log(
+            np.sqrt(np.abs(np.linalg.det(slopes)) + 1e-12) * self._extent()) / SCALE
+        # Three starts: short, usual and long focal lengths have minima of their own.
+        starts[:, self.terms.index("focal")] = (-1.0, 0.0, 1.0)
+        of_view = self.starts_of_view(features) if self.options["oblique"] else starts[:0]
+        return of_view if len(of_view) else starts
+
+    def starts_of_view(self, features: FeatureSet) -> FloatArray:
+        """Return the values of terms of the pinhole camera of the points, (s, k), or none, (0, k).
+        """
+        points = features.points
+        pinhole = pinhole_of(FeatureSet(points, crs=self.crs), known(self.scaling))
+        # The middle of the points must be in front of the camera.
+        if pinhole is None or not pinhole.matrix[2, 0] > 0.0:
+            return np.zeros((0, len(self.terms)))
+        # f (q1, q2) and q3 of 1, X, Y and Z, without the principal point.
+        away = np.append(pinhole.camera.middle[0], 0.0)
+        matrix = pinhole.matrix - np.outer(away, pinhole.matrix[2])
+        steps = self.local(np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0]]))[:, :2]
+        # By metres to the east and to the north instead of scaled X and Y.
+        plane = matrix[:, 1:3] @ np.linalg.inv((steps[:2] - steps[2]).T)
+        focal = float(pinhole.camera.focal[0])
+        return np.array([self._start_of(plane, matrix[:, 0], focal, pinhole.camera.middle[0])])
+
+    def _start_of(self, plane: FloatArray, middle: FloatArray, focal: float,
+                  principal: FloatArray) -> list[float]:
+        """Return the values of terms of a camera of some focal length, by what it sees.
+
+        `plane`, (3, 2), and `middle`, (3,), are of east, north and the middle of the ground, about
+        the principal point.
+        """
+        # Without the focal length it is a rotation times a scale.
+        columns = plane / np.array([[focal], [focal], [1.0]])
+        size = float(np.linalg.norm(columns, axis=0).mean())
+        turn, tilts = _angles(columns, mirrored=bool(self.options["mirrored"]))
+        # Where the middle is seen from the principal point.
+        away = middle[:2] / middle[2]
+        middle_seen = principal + away
+        values = dict.fromkeys(self.terms, 0.0) | {
+            "line": middle_seen[0], "sample": middle_seen[1], "turn": turn / TURN,
+            "scale": np.log(focal * size / middle[2] * self._extent()) / SCALE,
+            "focal": np.log(focal / FOCAL) / FOCAL_SPREAD,
+            "tilt-line": tilts[0] / self.tilt, "tilt-sample": tilts[1] / self.tilt,
+            "middle-line": away[0] / MIDDLE, "middle-sample": away[1] / MIDDLE}
+        return [values[name] for name in self.terms]
+
+    def slopes_of(self, features: FeatureSet) -> FloatArray:
+        """Return the slopes of scaled image positions by metres east and north, shape (2, 2).
+
+        Their determinant is positive where lines run to the south and samples to the east.
+        """
+        # Heights are left out: a tilt would take them up, and be wrong.
+        plan = self.local(features.points.ground)[:, :2]
+        return np.asarray(np.linalg.lstsq(np.column_stack([np.ones(len(plan)), plan]),
+                                          features.points.image)[0][1:])
+
+    def _extent(self) -> float:
+        return float(np.linalg.norm(self.local(np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]))[0]))
+
+    def seen(self, x: dict[str, FloatArray], ground: FloatArray,
+             ray: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return places in the camera's axes (p, n, 3) by distance, and focal lengths (p, 1).
+
+        `ray`, shape (p, 3), leads to the control's middle: along lines, samples and the view.
+        """
+        focal = FOCAL * np.exp(FOCAL_SPREAD * x["focal"])
+        scale = np.exp(SCALE * x["scale"]) / self._extent()
+        turned = self.rotation_of(x)
+        # Relative to the middle of the control, and by the distance of the camera from it.
+        in_camera = self.local(ground) @ turned.transpose(0, 2, 1)
+        return np.asarray(in_camera * (scale / focal)[:, None, None] + ray[:, None, :]), \
+            focal[:, None]
+
+    def rotation_of(self, x: dict[str, FloatArray]) -> FloatArray:
+        """Return the directions of lines, samples and the view, as rows of (p, 3, 3)."""
+        sine = np.sin(TURN * x["turn"])
+        cosine = np.cos(TURN * x["turn"])
+        none = np.zeros_like(sine)
+        # Axes of a level camera: line to the south, sample to the east, view downwards.
+        down = -1.0 if self.options["mirrored"] else 1.0
+        level = np.stack([np.stack([down * sine, -down * cosine, none], axis=1),
+                          np.stack([cosine, sine, none], axis=1),
+                          np.stack([none, none, none - 1.0], axis=1)], axis=1)
+        turned = level
+        for i, name in enumerate(("tilt-line", "tilt-sample")):
+            s = np.sin(self.tilt * x[name])[:, None]
+            c = np.cos(self.tilt * x[name])[:, None]
+            image_axis = turned[:, i]
+            view = turned[:, 2]
+            turned = turned.copy()
+            turned[:, i] = c * image_axis - s * view
+            turned[:, 2] = s * image_axis + c * view
+        return np.asarray(turned)
+
+    def image_of(self, values: FloatArray, ground: FloatArray) -> FloatArray:
+        """Return scaled image positions (p, n, 2) by values of terms (p, k)."""
+        x = dict(zip(self.terms, values.T, strict=True))
+        shift = np.stack([x["line"], x["sample"]], axis=1)
+        with np.errstate(all="ignore"):
+            return np.asarray(self.film(x, ground) + shift[:, None])
+
+    def film(self, x: dict[str, FloatArray], ground: FloatArray) -> FloatArray:
+        """Return scaled positions on the film (p, n, 2), about where the middle is seen."""
+        raise NotImplementedError
+
+
+def _angles(columns: FloatArray, *, mirrored: bool) -> tuple[float, tuple[float, float]]:
+    """Return the turn and the tilts [rad] of a camera, by where it sees east and north, (3, 2).
+
+    They are those that `Photo.seen` turns the level axes by: lines about samples, then samples
+    about what results.
+    """
+    # The nearest matrix with orthonormal columns (Procrustes).
+    u, _, v = np.linalg.svd(columns, full_matrices=False)
+    east, north = (u @ v).T
+    up = np.cross(east, north) * (1.0 if mirrored else -1.0)
+    line, sample, view = np.column_stack([east, north, up])
+    if view[2] > 0.0:  # a camera looks down
+        line, sample, view = (axis * [1.0, 1.0, -1.0] for axis in (line, sample, view))
+    # Tilts are undone in the opposite order: the second first.
+    second = float(np.arctan(-sample[2] / min(view[2], -1e-9)))
+    level = np.cos(second) * sample + np.sin(second) * view
+    between = np.cos(second) * view - np.sin(second) * sample
+    first = float(np.arctan(-line[2] / min(between[2], -1e-9)))
+    return float(np.arctan2(level[1], level[0])), (first, second)
+
+
+_COMMON = ("line", "sample", "turn", "scale", "focal", "tilt-line", "tilt-sample", "middle-line",
+           "middle-sample")
+
+
+class Frame(Photo):
+    """Frame camera: collinearity equations with radial distortion and deformed film.
+
+    Terms are in standard deviations of what is known beforehand, which is little; ``line`` and
+    ``sample`` are the place where the middle of the control is seen. There are 12: turn, scale,
+    focal length, tilts, principal point, radial distortion, affinity and shear.
+
+    References
+    ----------
+    Brown 1971, Photogrammetric Engineering 37(8), for the distortion; Kraus 2007, Photogrammetry,
+    for the collinearity equations. The priors are termsel's own.
+    """
+
+    name = "frame"
+    terms_ = (*_COMMON, "radial", "affinity", "shear")
+
+    def film(self, x: dict[str, FloatArray], ground: FloatArray) -> FloatArray:
+        """Return scaled positions on the film (p, n, 2), about where the middle is seen."""
+        middle = MIDDLE * np.stack([x["middle-line"], x["middle-sample"]], axis=1)
+        focal = FOCAL * np.exp(FOCAL_SPREAD * x["focal"])
+        # Towards the middle of the control, which need not be the principal point.
+        ray = np.column_stack([middle / focal[:, None], np.ones(len(focal))])
+        in_camera, focal = self.seen(x, ground, ray)
+        # Central projection; behind the camera nothing is seen.
+        ideal = focal[..., None] * in_camera[..., :2] / np.where(
+            in_camera[..., 2:] > 0, in_camera[..., 2:], np.nan)
+        radius = (ideal**2).sum(axis=2, keepdims=True)
+        # Distortion grows with the third power of the radius.
+        bent = RADIAL / known(self.scaling).image_scale * x["radial"][:, None, None] * radius
+        line, sample = np.moveaxis(ideal * (1.0 + bent), -1, 0)
+        affinity = FILM * x["affinity"][:, None]
+        shear = FILM * x["shear"][:, None]
+        return np.stack([line * (1.0 + affinity) + shear * sample, sample], axis=-1) \
+            - middle[:, None]
+
+    def sensor_figures(self, coefficients: FloatArray) -> tuple[SensorFigure, ...]:
+        """Return place, angles, focal length and principal point of the camera."""
+        scaling = known(self.scaling)
+        x = dict(zip(self.terms, np.asarray(coefficients)[:, None], strict=True))
+        away = MIDDLE * np.array([x["middle-line"][0], x["middle-sample"][0]])
+        focal = float(FOCAL * np.exp(FOCAL_SPREAD * x["focal"][0]))
+        scale = float(np.exp(SCALE * x["scale"][0])) / self._extent()
+        rotation = self.rotation_of(x)[0]
+        # In the camera's axes a place is R X scale / focal + ray, which is 0 at the camera.
+        centre = -np.append(away / focal, 1.0) * focal / scale @ rotation
+        principal = np.array([[x["line"][0], x["sample"][0]]]) - away
+        unit = "deg" if is_geographic(self.crs) else "m"
+        orientation = exterior_orientation(rotation, centre, self.local, scaling, unit)
+        return camera_figures(orientation, focal * scaling.image_scale,
+                              scaling.pixels(principal)[0])
+
+
+class Panoramic(Photo):
+    """Panoramic camera: a slit swings across the track over film on a cylinder.
+
+    Terms are in standard deviations of what is known beforehand, which is little; ``line`` and
+    ``sample`` are the place where the middle of the control is seen. There are 10: turn, scale,
+    focal length, tilts, the angle and the place on the slit that the middle is seen at, and the
+    motion of the image while the slit swings. It swings along samples.
+
+    References
+    ----------
+    Case 1967, Photogrammetric Engineering 33(1), for the equations. The priors are termsel's own.
+    """
+
+    name = "panoramic"
+    terms_ = (*_COMMON, "motion")
+
+    def film(self, x: dict[str, FloatArray], ground: FloatArray) -> FloatArray:
+        """Return scaled positions on the film (p, n, 2), about where the middle is seen."""
+        focal = FOCAL * np.exp(FOCAL_SPREAD * x["focal"])
+        slit, angle = (MIDDLE * x[name] / focal for name in ("middle-line", "middle-sample"))
+        in_camera, focal = self.seen(x, ground, np.stack(
+            [slit, np.sin(angle), np.cos(angle)], axis=1))
+        # The film is a cylinder: across the track angles are lengths.
+        across = np.arctan2(in_camera[..., 1], in_camera[..., 2])
+        along_track = in_camera[..., 0] / np.hypot(in_camera[..., 1], in_camera[..., 2])
+        # The compensation moves the film by the sine of the angle of the slit.
+        moved = MOTION * x["motion"][:, None]
+        return np.asarray(focal[..., None] * np.stack([
+            along_track - slit[:, None] + moved * (np.sin(across) - np.sin(angle)[:, None]),
+            across - angle[:, None]], axis=-1))
+
+
+@dataclass(frozen=True, eq=False)
+class FewOfPhoto(Method):
+    """A camera of which nothing is known, for few points."""
+
+    camera: type[Photo] = Frame
+
+    def declines(self, control: FitData) -> str | None:
+        """Return why the features are not for a photo."""
+        features = control.features
+        if len(features.lines) or len(features.points) < MIN_PHOTO_POINTS:
+            return (f"it is for {MIN_PHOTO_POINTS} to {MAX_PHOTO_POINTS} control points, without "
+                    "lines")
+        # Without relief tilt and focal length are not told apart.
+        if features.without_height():
+            return "it needs heights"
+        # Tilt and focal length would be guesses elsewhere.
+        if not control.heights and not self._has_relief(control):
+            return "it needs heights that differ"
+        return None
+
+    def _has_relief(self, control: FitData) -> bool:
+        """Return whether heights do something in the image, though polynomials do not show it."""
+        points = control.scaled.points
+        model = self.camera().prepared(control.scaling, control.features.crs)
+        assert isinstance(model, Photo)
+        *plan, up = model.local(points.ground).T
+        columns = np.column_stack([np.ones(len(up)), *plan])
+        # Heights off a plane: a plane seen at a slant is only tilted ground.
+        off_plane = up - columns @ np.linalg.lstsq(columns, up)[0]
+        return bool(np.linalg.norm(off_plane) > RELIEF * np.sqrt(np.var(plan, axis=1).sum()))
+
+    def tried(self, data: FitData) -> bool:
+        """Return whether the points say that they are of a photo.
+
+        To try cameras on every image would take auto several times as long. What supports an
+        oblique view gets termsel's own pinhole camera.
+        """
+        return sensor_of(data) == self.camera.name
+
+    @staticmethod
+    def _is_oblique(control: FitData) -> bool:
+        """Return whether the points support a view of unlike distances from the camera."""
+        view = view_of(control.scaled.points)
+        return view is not None and view.depth < OBLIQUE
+
+    def fit(self, control: FitData) -> Fit:
+        """Fit the camera by all features."""
+        model = self.camera().prepared(control.scaling, control.features.crs)
+        assert isinstance(model, Photo)
+        # A negative determinant: east and north are seen the other way round.
+        model = self.camera(mirrored=bool(np.linalg.det(model.slopes_of(control.scaled)) < 0),
+                            oblique=self._is_oblique(control))
+        fitted = self.estimator.fit(model, control.features, control.scaling,
+                                    np.ones(len(model.terms), dtype=bool),
+                                    np.ones(len(control), dtype=bool))
+        camera = fitted.model
+        assert isinstance(camera, Photo)
+        # Place, turn and scale are free; all else is expected to be one standard deviation off.
+        misfit = camera.cost(control.scaled, fitted.adjustment.coefficients)[0] / (
+            2 * len(control) - 4)
+        if misfit > AMISS:
+            raise Undetermined(f"the points are not those of {self.title}: the misfit is "
+                               f"{misfit:.1f} times what is expected, and the most is {AMISS:g}",
+                               hint="Check the points and heights, or choose another model.")
+        return fitted
+
+    def model(self, heights: bool) -> SensorModel | None:
+        """Return the camera, where there are heights."""
+        return self.camera() if heights else None
+
+    def size(self, heights: bool) -> float:
+        """Return infinity: the priors hold what the features do not determine."""
+        return np.inf
+
+    def describe(self, fitted: Fit) -> str:
+        """Return that the fit converged, and what it took the camera for."""
+        values: dict[str, Any] = fitted.coefficients
+        focal = FOCAL * np.exp(FOCAL_SPREAD * values["focal"])
+        assert isinstance(fitted.model, Photo)
+        tilt = np.degrees(np.arccos(np.prod(np.cos(fitted.model.tilt * np.array(
+            [values["tilt-line"], values["tilt-sample"]])))))
+        return (f"The points support {self.title}. The fit converged in "
+                f"{fitted.adjustment.steps} steps, with a focal length of {focal:.1f} half "
+                f"extents of the control and a tilt of {tilt:.1f} deg.")
+
+
+CANDIDATES = (
+    FewOfPhoto("frame-camera", "a frame camera", short="frame camera", estimator=RobustFit(),
+               has_prior=True, max_features=MAX_PHOTO_POINTS, camera=Frame),
+    FewOfPhoto("panoramic-camera", "a panoramic camera", short="panoramic camera",
+               estimator=RobustFit(), has_prior=True, max_features=MAX_PHOTO_POINTS,
+               camera=Panoramic))
+"""Cameras of which nothing is known."""

@@ -1,0 +1,302 @@
+"""The imaging radar whose orbit and timing a Sentinel-1 annotation states: range and Doppler."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from termsel import FeatureSet, Option, TermselError
+from termsel.toolkit.models import KnownImage
+from termsel_cameras.scanners.annotation import Annotation, FloatArray, annotation_of
+from termsel_cameras.scanners.orbit import geocentric
+from termsel_cameras.scanners.physical import Physical, known
+
+Vectors = tuple[tuple[float, ...], ...]
+
+LIGHT = 299792458.0
+"""Speed of light [m/s]."""
+
+TERMS = ("azimuth", "range", "azimuth-rate", "range-rate")
+
+SHIFT, RATE_METRES = 30.0, 2.0
+"""Standard deviations of a shift in azimuth and in range [m], and of what a shift changes by from
+the middle of the image to its edge [m]. Orbits of products for near real time are metres off, the
+troposphere delays echoes by 2 to 4 m, and a processor may leave out the delay by which pulses
+arrive after they are sent. The shift is given more, so that a single point corrects it."""
+
+NEWTON_STEPS, LAST_STEP = 20, 1e-10
+"""Most Newton steps to the time of zero Doppler, and the step at which they end [s]."""
+
+DEGREES = 1e-5
+"""Step of longitude and latitude by which image positions are differentiated."""
+
+BEYOND = 0.25
+"""Part of the swath beyond which polynomials of ground range say nothing."""
+
+BISTATIC = Option(
+    "bistatic", False, "Whether lines take in that echoes from afar arrive later than those from "
+    "the middle of the swath, as the lattice of the annotation does (up to 0.2 lines). By default "
+    "they are those of range and Doppler alone, as of most programs.", type=bool)
+
+
+class Radar(Physical):
+    """Imaging radar with the orbit and timing of a Sentinel-1 annotation; shifts have priors.
+
+    A place is seen on the line of the time t at which the satellite's velocity is square to the
+    line of sight, (P - S(t)) . V(t) = 0 (zero Doppler), and on the sample of its distance
+    |P - S(t)|: in slant range by the sampling rate, in ground range by the polynomials of the
+    annotation, linear in time between two of them. Terms are in standard deviations of what is
+    known beforehand: shifts in azimuth and range, and how they change along lines and samples. A
+    term that is not selected is 0.
+
+    Notes
+    -----
+    Lines and samples count from the centre of the first pixel, as the annotation's do. Positions
+    are cubic Hermite polynomials between the state vectors, velocities cubic splines through
+    theirs. The priors are termsel's own. Not modelled: the delay of the troposphere, which the
+    shift in range takes.
+
+    An echo arrives later from afar, while the satellite flies on. The processor corrects that for
+    the middle of the swath. The rest is half the difference of two-way times, up to 0.2 lines of a
+    GRD image and 0.14 of a stripmap between edge and middle. Range and Doppler by themselves, and
+    most programs, leave it out, and so does this model unless `bistatic` is true. The lattice of an
+    annotation has it: on the annotations tried, lines differ from the lattice by 0.08 to 0.11 px
+    (RMS) without it, and by 0.0006 to 0.002 px with it.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> model = termsel.get("models", "radar")
+    >>> model().terms
+    ('azimuth', 'range', 'azimuth-rate', 'range-rate')
+
+    References
+    ----------
+    J. C. Curlander, "Location of Spaceborne SAR Imagery", IEEE Trans. Geosci. Remote Sens. GE-20
+    (1982) 359-364. ESA, Guide to Sentinel-1 Geocoding, UZH-S1-GC-AD 1.10 (2019), sections 2 and 3.
+    """
+
+    name = "radar"
+    declared_options = (
+        Option("metadata", "", "Required: the annotation of a Sentinel-1 image (XML), the image "
+                               "or the product. A result contains what was read."),
+        Option("swath", "", "Swath of a product that has several, such as IW2."),
+        Option("burst", 0, "Number of the burst, from 1, of an SLC image of the modes IW and EW; "
+                           "its lines are those of the whole image.",
+               type=int, minimum=0, maximum=1000),
+        BISTATIC)
+    terms_ = TERMS
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        metadata = self.options["metadata"]
+        self._annotation = annotation_of(metadata, self.options["swath"]) if metadata else None
+        if self._annotation is not None:
+            self._first_line = _first_line(self._annotation, self.options["burst"])
+            if self.options["bistatic"]:
+                self._require_middle(self._annotation)
+            self.options["metadata"] = self._annotation.text()  # readable without the file
+
+    @property
+    def annotation(self) -> Annotation:
+        """What the file says.
+
+        Raises
+        ------
+        TermselError
+            If the option `metadata` names none.
+        """
+        if self._annotation is None:
+            raise TermselError(f"model {self.name!r} requires the annotation of the image",
+                               hint="Give the XML file of a Sentinel-1 product with "
+                                    "--set metadata=FILE.")
+        return self._annotation
+
+    @property
+    def source(self) -> str:
+        """The file of the annotation."""
+        return self.annotation.source
+
+    def known_image(self) -> KnownImage | None:
+        """Return the size of the image, and the area of the annotation's lattice."""
+        stated = self.annotation
+        return KnownImage(stated.size, np.array(stated.area)) if stated.area else None
+
+    def starts(self, features: FeatureSet) -> FloatArray:
+        """Return the values of terms from which a fit begins: no shift."""
+        return np.zeros((1, len(TERMS)))
+
+    def image_of(self, values: FloatArray, ground: FloatArray) -> FloatArray:
+        """Return scaled image positions (p, n, 2) by values of terms (p, k)."""
+        image = self.unshifted(self.geographic(ground))
+        stated = self.annotation
+        spacing = np.array([stated.line_spacing, stated.sample_spacing])
+        # How far a place is from the middle of the image, in parts of its half.
+        middle = (np.array(stated.size) - 1.0) / 2.0
+        aside = (image - middle) / np.maximum(middle, 1.0)
+        shift = SHIFT * values[:, None, :2] + RATE_METRES * values[:, None, 2:] * aside      # [m]
+        shifted = image + shift / spacing
+        return np.asarray(known(self.scaling).image(shifted.reshape(-1, 2)).reshape(shifted.shape))
+
+    def unshifted(self, geographic: FloatArray) -> FloatArray:
+        """Return line and sample (n, 2) [px] by the annotation alone; NaN where none is seen.
+
+        Parameters
+        ----------
+        geographic : ndarray, shape (n, 3)
+            WGS84 longitude, latitude [deg] and ellipsoidal height [m].
+        """
+        stated = self.annotation
+        time, distance, is_visible = zero_doppler(stated, geocentric(geographic))
+        if self.options["bistatic"] and stated.middle_range_time is not None:
+            # Lines are counted by when echoes from the middle of the swath arrive.
+            time = time - (2.0 * distance / LIGHT - stated.middle_range_time) / 2.0
+        first_time, first_line = self._first_line
+        line = first_line + (time - first_time) / stated.line_interval
+        if stated.ground_ranges:
+            sample = _ground_range(stated, time, distance) / stated.sample_spacing
+        else:
+            sample = (2.0 * distance / LIGHT - stated.first_range_time) * stated.sampling_rate
+        image = np.stack([line, sample], axis=1)
+        samples = stated.size[1]
+        is_beyond = np.abs(sample - samples / 2.0) > (0.5 + BEYOND) * samples
+        if stated.ground_ranges:
+            is_visible &= ~is_beyond
+        image[~is_visible] = np.nan
+        return image
+
+    @staticmethod
+    def _require_middle(annotation: Annotation) -> None:
+        """Refuse an annotation whose lattice does not say for which echoes lines are timed."""
+        if annotation.middle_range_time is None:
+            raise TermselError(
+                f"{annotation.source}: its lattice does not state by which echoes lines are timed",
+                hint="Leave out --set bistatic=....")
+
+    def on_ground(self, image: FloatArray, near_places: FloatArray) -> FloatArray:
+        """Return places (n, 3) that are seen at image positions (n, 2); NaN where none is found.
+
+        Their heights are those between given places (m, 3), WGS84 longitude, latitude [deg] and
+        ellipsoidal height [m]; the annotation alone counts, without shifts.
+        """
+        from scipy.interpolate import griddata  # other models need not import it
+
+        seen_image = self.unshifted(near_places)
+        visible = np.isfinite(seen_image).all(axis=1)
+        seen_image = seen_image[visible]
+        ground = griddata(seen_image, near_places[visible], image, rescale=True)
+        nearest = griddata(seen_image, near_places[visible], image, method="nearest", rescale=True)
+        ground = np.where(np.isnan(ground), nearest, ground)
+        for _ in range(NEWTON_STEPS):
+            misses = image - self.unshifted(ground)
+            if not np.abs(misses).max(initial=0.0) > 1e-9:
+                break
+            slopes = np.stack([(self.unshifted(ground + step) - self.unshifted(ground - step))
+                               / (2.0 * DEGREES) for step in DEGREES * np.eye(3)[:2]], axis=-1)
+            ground[:, :2] += np.linalg.solve(slopes, misses[..., None])[..., 0]
+        ground[~(np.abs(image - self.unshifted(ground)).max(axis=1) < 1e-6)] = np.nan
+        return np.asarray(ground)
+
+
+def _first_line(annotation: Annotation, burst: int) -> tuple[float, float]:
+    """Return the time [s] and the number of the line from which others are counted."""
+    bursts = annotation.bursts
+    if not bursts:
+        if burst:
+            raise TermselError(f"{annotation.source}: the image has no bursts",
+                               hint="Leave out --set burst=...")
+        return 0.0, 0.0
+    if not 1 <= burst <= len(bursts):
+        raise TermselError(
+            f"{annotation.source}: the image is made of {len(bursts)} bursts that overlap in time, "
+            "so that a point may be on two lines",
+            hint=f"Choose one with --set burst=N, N from 1 to {len(bursts)}, or use an image of "
+                 "merged bursts, such as the GRD product.")
+    chosen_burst = bursts[burst - 1]
+    return chosen_burst.time, float(chosen_burst.line)
+
+
+def zero_doppler(annotation: Annotation, targets: FloatArray,
+                 ) -> tuple[FloatArray, FloatArray, np.ndarray[Any, np.dtype[np.bool_]]]:
+    """Return times of zero Doppler [s], distances then [m], and which places the radar can see.
+
+    Newton's method on f(t) = (P - S(t)) . V(t), with f'(t) = (P - S(t)) . A(t) - V(t) . V(t).
+
+    Parameters
+    ----------
+    annotation : Annotation
+    targets : ndarray, shape (n, 3)
+        Earth-fixed positions [m].
+
+    Returns
+    -------
+    time, distance : ndarray, shape (n,)
+    seen : ndarray of bool, shape (n,)
+        False on the left of the track, and where the orbit does not reach.
+    """
+    orbit, motion, acceleration = _track(annotation.times, annotation.positions,
+                                         annotation.velocities)
+    first = annotation.times[0]
+    last = annotation.times[-1]
+    time = np.full(len(targets), annotation.size[0] * annotation.line_interval / 2.0)
+    with np.errstate(all="ignore"):
+        for _ in range(NEWTON_STEPS):
+            sight = targets - orbit(time)
+            velocity = motion(time)
+            doppler = (sight * velocity).sum(axis=1)
+            slope = (sight * acceleration(time)).sum(axis=1) - (velocity**2).sum(axis=1)
+            step = -doppler / slope
+            time = np.clip(time + step, first, last)
+            if not (np.abs(step) > LAST_STEP).any():
+                break
+        position = orbit(time)
+        velocity = motion(time)
+        sight = targets - position
+        distance = np.linalg.norm(sight, axis=1)
+        # Sentinel-1 looks to the right: V x S points there, S being up.
+        rightward = (sight * np.cross(velocity, position)).sum(axis=1) > 0
+        reached = np.abs((sight * velocity).sum(axis=1)) < 1e-3 * distance
+    return time, distance, rightward & reached
+
+
+@lru_cache(maxsize=8)
+def _track(times: tuple[float, ...], positions: Vectors, velocities: Vectors,
+           ) -> tuple[Any, Any, Any]:
+    """Return splines of position [m], velocity [m/s] and acceleration [m/s^2] by time [s]."""
+    # Other models need not import it.
+    from scipy.interpolate import CubicHermiteSpline, CubicSpline
+
+    # Stated velocities differ by 1 cm/s from how stated positions change, which moves a place by
+    # 0.3 lines of a stripmap: the processor's lattice of points follows the velocities.
+    motion = CubicSpline(times, velocities)
+    return CubicHermiteSpline(times, positions, velocities), motion, motion.derivative()
+
+
+def _ground_range(annotation: Annotation, time: FloatArray, distance: FloatArray) -> FloatArray:
+    """Return ground range [m] by the polynomials before and after each time, linear between."""
+    polynomials = annotation.ground_ranges
+    origins = np.array([polynomial.origin for polynomial in polynomials])
+    degree = max(len(polynomial.coefficients) for polynomial in polynomials)
+    coefficients = np.zeros((degree, len(polynomials)))
+    for number, polynomial in enumerate(polynomials):
+        coefficients[:len(polynomial.coefficients), number] = polynomial.coefficients
+
+    def by_polynomials(numbers: NDArray[np.intp]) -> FloatArray:
+        """Return ground range by a polynomial for each place, by Horner's scheme."""
+        aside = distance - origins[numbers]
+        value = np.zeros(len(distance))
+        for power in coefficients[::-1]:
+            value = value * aside + power[numbers]
+        return value
+
+    if len(polynomials) == 1:
+        return by_polynomials(np.zeros(len(distance), dtype=np.intp))
+    times = np.array([polynomial.time for polynomial in polynomials])
+    after = np.clip(np.searchsorted(times, time), 1, len(times) - 1)
+    # Before the first and after the last polynomial, that one holds.
+    weight = np.clip((time - times[after - 1]) / (times[after] - times[after - 1]), 0.0, 1.0)
+    return np.asarray((1.0 - weight) * by_polynomials(after - 1)
+                      + weight * by_polynomials(after))

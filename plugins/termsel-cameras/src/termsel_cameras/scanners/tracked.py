@@ -1,0 +1,158 @@
+"""The scanner whose orbit and attitude a file of metadata has."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from termsel import FeatureSet, Option, TermselError
+from termsel_cameras.scanners.metadata import FloatArray, Metadata, metadata_of
+from termsel_cameras.scanners.orbit import geocentric
+from termsel_cameras.scanners.physical import Physical, known
+
+SUFFIXES = (".dim", ".xml")
+"""Names of files of metadata end so."""
+
+TERMS = ("roll", "pitch", "yaw", "roll-rate", "pitch-rate", "yaw-rate", "period", "pixel")
+
+ANGLE, TRACKED = 4e-4, 1e-4
+"""Standard deviation of a bias of roll and pitch [rad], without and with a star tracker: Spot Image
+states 350 m and 50 m on the ground, of which twice the latter is taken."""
+
+YAW_SIGMA, RATE_SIGMA, PERIOD, PIXEL = 5e-4, 5e-6, 2e-5, 2e-4
+"""Standard deviations of a bias of yaw [rad], of rates [rad/s], and of line period and pixel, as
+parts of these."""
+
+SECANT_STEPS, FIRST_STEP, NO_SLOPE = 20, 0.5, 1e-9
+"""Steps of the secant method to the time at which a place is seen, the first one's length [s], and
+the slope along the track that counts as none."""
+
+
+class TrackedScanner(Physical):
+    """Line scanner with orbit, attitude and look angles of a DIMAP file; biases have priors.
+
+    Terms are in standard deviations of what is known beforehand. There are 8: biases of roll, pitch
+    and yaw, their rates, line period and pixel. A term that is not selected is 0.
+
+    Notes
+    -----
+    The geometry is that of the SPOT 123-4-5 Geometry Handbook, GAEL-P135-DOC-001 (2004). Positions
+    are cubic Hermite polynomials between those of the file, angles are linear. The priors are
+    termsel's own. Not modelled: refraction, jitter that the file does not have.
+    """
+
+    name = "scanner-dimap"
+    declared_options = (
+        Option("metadata", "", "Required: the DIMAP file of version 1 of a SPOT scene of level 1A. "
+                               "A result contains what was read."),)
+    terms_ = TERMS
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        metadata = self.options["metadata"]
+        self._metadata = metadata_of(metadata) if metadata else None
+        if self._metadata is not None:  # a result must be readable without the file
+            self.options["metadata"] = self._metadata.text()
+
+    @property
+    def metadata(self) -> Metadata:
+        """What the file says.
+
+        Raises
+        ------
+        TermselError
+            If the option `metadata` names none.
+        """
+        if self._metadata is None:
+            raise TermselError(f"model {self.name!r} requires the metadata of the image",
+                               hint="Give the DIMAP file with --set metadata=FILE.")
+        return self._metadata
+
+    @property
+    def source(self) -> str:
+        """The file of metadata."""
+        return self.metadata.source
+
+    def starts(self, features: FeatureSet) -> FloatArray:
+        """Return the values of terms from which a fit begins: none."""
+        return np.zeros((1, len(TERMS)))
+
+    def image_of(self, values: FloatArray, ground: FloatArray) -> FloatArray:
+        """Return scaled image positions (p, n, 2) by values of terms (p, k)."""
+        metadata = self.metadata
+        target = geocentric(self.geographic(ground))
+        x = dict(zip(TERMS, values.T[..., None], strict=True))                       # (p, 1) each
+        angle = TRACKED if metadata.tracked else ANGLE
+        bias = [YAW_SIGMA * x["yaw"], angle * x["pitch"], angle * x["roll"]]
+        rate = [RATE_SIGMA * x[f"{name}-rate"] for name in ("yaw", "pitch", "roll")]
+        samples = np.array(metadata.detectors)
+        looks = np.tan(metadata.looks)
+        order = np.argsort(looks[:, 1])  # as np.interp needs them
+        across = looks[order, 1]
+        ahead = looks[order, 0]
+        samples = samples[order]
+        wide = 1.0 + PIXEL * x["pixel"]
+
+        def view(time: FloatArray) -> tuple[FloatArray, FloatArray]:
+            """Return how far places are ahead of the scan line at a time, and their place across
+            it.
+            """
+            station, axes = _state(metadata, time)
+            away = np.einsum("...ij,...i->...j", axes, target - station)
+            attitude = [np.interp(time, metadata.moments, angles) + offset + time * drift
+                        for angles, offset, drift in zip(
+                            np.array(metadata.angles).T, bias, rate, strict=True)]
+            turned = _turned(away, attitude)
+            # The look is (-tan PSI_Y, tan PSI_X, -1): to starboard, ahead and up.
+            slope = turned[..., 0] / turned[..., 2] / wide
+            ahead_of_camera = -turned[..., 1] / turned[..., 2]
+            return ahead_of_camera - np.interp(slope, across, ahead), slope
+
+        time = np.zeros((len(values), len(target)))
+        step = np.full_like(time, FIRST_STEP)
+        with np.errstate(all="ignore"):
+            off = view(time)[0]
+            for _ in range(SECANT_STEPS):
+                time = time + step
+                before, off = off, view(time)[0]
+                change = off - before
+                step = np.where(np.abs(change) > 1e-14, -off * step / change, 0.0)
+                if np.abs(off).max(initial=0.0) < NO_SLOPE:
+                    break
+            slope = view(time)[1]
+        line = metadata.line + time / (metadata.period * (1.0 + PERIOD * x["period"]))
+        sample = np.interp(slope, across, samples)
+        for end, near in ((0, 1), (-1, -2)):  # straight on beyond the array
+            is_beyond = slope < across[0] if end == 0 else slope > across[-1]
+            steep = (samples[end] - samples[near]) / (across[end] - across[near])
+            sample = np.where(is_beyond, samples[end] + steep * (slope - across[end]), sample)
+        image = np.stack([line, sample], axis=-1)
+        image[~(np.abs(off) < 1e-6)] = np.nan
+        return np.asarray(known(self.scaling).image(image.reshape(-1, 2)).reshape(image.shape))
+
+
+def _state(metadata: Metadata, time: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return positions (..., 3) [m], and axes to starboard, ahead and up as columns (..., 3, 3)."""
+    from scipy.interpolate import CubicHermiteSpline  # which other models need not import
+
+    orbit = CubicHermiteSpline(metadata.times, metadata.positions, metadata.velocities)
+    station = orbit(time)
+    motion = orbit(time, 1)
+    up = station / np.linalg.norm(station, axis=-1, keepdims=True)
+    right = np.cross(motion, up)
+    right /= np.linalg.norm(right, axis=-1, keepdims=True)
+    return station, np.stack([right, np.cross(up, right), up], axis=-1)
+
+
+def _turned(away: FloatArray, angles: list[FloatArray]) -> FloatArray:
+    """Return vectors (..., 3) of orbital axes in those of the camera.
+
+    The handbook turns looks by pitch after roll after yaw; this is the inverse.
+    """
+    yaw, pitch, roll = angles
+    x, y, z = np.moveaxis(away, -1, 0)
+    y, z = np.cos(pitch) * y - np.sin(pitch) * z, np.sin(pitch) * y + np.cos(pitch) * z
+    x, z = np.cos(roll) * x + np.sin(roll) * z, -np.sin(roll) * x + np.cos(roll) * z
+    x, y = np.cos(yaw) * x + np.sin(yaw) * y, -np.sin(yaw) * x + np.cos(yaw) * y
+    return np.stack([x, y, z], axis=-1)

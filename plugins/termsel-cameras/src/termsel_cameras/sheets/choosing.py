@@ -1,0 +1,83 @@
+"""Which projection predicts the points of a map, or of a series of sheets, best."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from termsel import FeatureSet, FitData, TermselError
+from termsel.toolkit.models import Auto
+from termsel_cameras.roles import without_independent
+from termsel_cameras.sheets.candidates import Projection
+
+NEARLY = 1.1
+"""RMSE by that of the best, up to which the first of several projections is taken: they predict
+alike."""
+
+MIN_POINTS_OF_SHEET = 4
+"""Points from which on a sheet tells projections apart."""
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A projection that was tried.
+
+    Parameters
+    ----------
+    name, crs : str
+    rmse : float
+        Of points held out of the choice of the model in this projection [px]: of several sheets
+        the geometric mean. Infinite where no model is determined.
+    """
+
+    name: str
+    crs: str
+    rmse: float
+
+
+def tried_projections(sheets: Sequence[FeatureSet],
+                      candidates: Sequence[Projection]) -> list[Tried]:
+    """Return how well each projection predicts the points of all sheets, the best first.
+
+    Each candidate has a `name` and a `crs`. Independent points take no part. Sheets of a series
+    were drawn in one projection, so that the product of their squared errors counts, each to the
+    power of its number of points: a sheet of few points borrows from the others.
+    """
+    used_sheets = [without_independent(sheet) for sheet in sheets]
+    used_sheets = [sheet for sheet in used_sheets if len(sheet.points) >= MIN_POINTS_OF_SHEET]
+    if not used_sheets:
+        raise TermselError(f"no map has the {MIN_POINTS_OF_SHEET} points that tell projections "
+                           "apart",
+                           hint="Measure more points, or state the projection.")
+    counts = [len(sheet.points) for sheet in used_sheets]
+    ranked = []
+    for candidate in candidates:
+        # The mean of log rmse, weighted by points: the log of the product above, by its power.
+        logs = [np.log(_predicted(sheet, candidate.crs)) for sheet in used_sheets]
+        rmse = float(np.exp(np.average(logs, weights=counts)))
+        ranked.append(Tried(candidate.name, candidate.crs, rmse))
+    return sorted(ranked, key=lambda projection: projection.rmse)
+
+
+def chosen_of(ranked: Sequence[Tried], candidates: Sequence[Projection],
+              nearly: float = NEARLY) -> Tried:
+    """Return the projection that is taken: of those that predict alike the first candidate."""
+    best = ranked[0].rmse
+    if not np.isfinite(best):
+        raise TermselError("in no projection the points determine a model",
+                           hint="Measure more points, spread over the map.")
+    nearly_best = {projection.crs: projection for projection in ranked
+                    if projection.rmse <= nearly * best}
+    return next(nearly_best[candidate.crs] for candidate in candidates
+                if candidate.crs in nearly_best)
+
+
+def _predicted(features: FeatureSet, crs: str) -> float:
+    """Return the RMSE of held-out points [px] in a projection; infinite where there is none."""
+    try:
+        choice = Auto().choose(FitData.of(replace(features, fit_crs=crs)))
+    except TermselError:
+        return np.inf
+    return np.inf if choice is None else max(choice.chosen.held_out_rmse, 1e-9)

@@ -1,0 +1,157 @@
+"""Options of reading for old maps: the meridian that longitudes count from, and the projection."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from termsel import FeatureSet, Option, TermselError
+from termsel.toolkit import FloatArray
+from termsel.toolkit.coordinates import is_geographic, normalise, to_wgs84
+from termsel_cameras.roles import without_independent
+from termsel_cameras.sheets.candidates import (
+    Projection,
+    projections_of_file,
+    usual_projections,
+)
+from termsel_cameras.sheets.meridians import MERIDIANS, meridian_of
+
+if TYPE_CHECKING:
+    from termsel_cameras.sheets.choosing import Tried
+
+log = logging.getLogger(__name__)
+
+AUTO = "auto"
+_NEXT = 2
+
+OPTIONS = (
+    Option("prime_meridian", None, "Meridian that longitudes of the points count from: "
+           f"{', '.join(MERIDIANS)}, or degrees from Greenwich."),
+    Option("series", None, "File of the series that a map is a sheet of, by termsel map-series: "
+           "its projection is taken, and a sheet of few points borrows what the others tell of the "
+           "paper."),
+    Option("projection", None, "Projection that a map was drawn in, in which its model is fitted: "
+           "a CRS, or auto for the one that predicts the points best."),
+    Option("projection_candidates", None, "File of the projections that auto chooses from, a CRS a "
+           "line. By default those that maps of such places were drawn in."),
+    Option("map_century", None, "Century of the map, such as 18: auto tries what was used then.",
+           int, 15, 21))
+
+
+class SheetOptions:
+    """Options of reading that say in what coordinates an old map was drawn."""
+
+    options = OPTIONS
+
+    def read(self, features: FeatureSet, options_given: Mapping[str, Any],
+             image: Path | str | None) -> FeatureSet:
+        """Return features with longitudes from Greenwich, and the projection of the map."""
+        values = {option.name: option.parse(options_given[option.name]) for option in OPTIONS
+                  if options_given.get(option.name) is not None}
+        if "prime_meridian" in values:
+            features = from_greenwich(features, meridian_of(values["prime_meridian"]))
+        if "series" in values:
+            return _of_series(features, values)
+        if values.keys() & {"projection_candidates", "map_century"} \
+                and values.get("projection") != AUTO:
+            raise TermselError("candidates and century are for a projection that is chosen",
+                               hint="Add --set projection=auto, or --crs auto.")
+        if "projection" not in values:
+            return features
+        if values["projection"] != AUTO:
+            return replace(features, fit_crs=normalise(values["projection"]))
+        from termsel_cameras.sheets.choosing import chosen_of, tried_projections  # it fits models
+
+        candidates = candidates_of([features], values.get("projection_candidates"),
+                                   values.get("map_century"))
+        ranked = tried_projections([features], candidates)
+        best = chosen_of(ranked, candidates)
+        log.warning("Note: of %d projections %s Coordinates stay in %s.", len(ranked),
+                    _in_words(ranked, best), features.crs)
+        return replace(features, fit_crs=normalise(best.crs))
+
+
+def _in_words(ranked: Sequence[Tried], taken: Tried) -> str:
+    """Return which projection is taken, next to which ones."""
+    from termsel_cameras.sheets.choosing import NEARLY
+
+    def named(projections: Sequence[Tried]) -> str:
+        return ", ".join(f"{projection.name} {projection.rmse:.3g} px"
+                         for projection in projections)
+
+    best = ranked[0]
+    if best is taken:
+        return (f"{taken.name} predicts the points best: {taken.rmse:.3g} px "
+                f"({named(ranked[1:1 + _NEXT])}).")
+    return (f"{taken.name} is taken: {taken.rmse:.3g} px. Of those that predict within "
+            f"{100 * (NEARLY - 1.0):.0f} % of the best ({named([best])}) it is the first of the "
+            "list.")
+
+
+def _of_series(features: FeatureSet, values: Mapping[str, Any]) -> FeatureSet:
+    """Return a sheet with what its series tells."""
+    from termsel_cameras.sheets.series_file import in_series, read_series  # it fits models
+
+    if other := values.keys() & {"projection", "projection_candidates", "map_century"}:
+        raise TermselError(f"the file of a series has its projection, so {min(other)} has no use",
+                           hint="Leave one of them out.")
+    return in_series(features, read_series(values["series"]))
+
+
+def from_greenwich(features: FeatureSet, meridian: float) -> FeatureSet:
+    """Return features whose longitudes count from Greenwich, of such that count from a meridian.
+
+    Raises
+    ------
+    TermselError
+        If the ground coordinates are no degrees.
+    """
+    if not is_geographic(features.crs):
+        raise TermselError(f"longitudes in degrees have a prime meridian, not {features.crs}",
+                           hint="Leave prime_meridian out, or state --crs EPSG:4326.")
+    longitudes = without_independent(features).ground_vertices()[:, 0]
+    # Whole turns, lest a map west of its meridian by more than that comes to lie below -180.
+    turns = np.floor((np.median(longitudes) + meridian + 180.0) / 360.0) if len(longitudes) else 0.0
+    shift = [meridian - 360.0 * turns, 0.0, 0.0]
+    points = replace(features.points, ground=features.points.ground + shift)
+    lines = replace(features.lines, ground=features.lines.ground + shift)
+    return features.with_(points=points, lines=lines)
+
+
+def candidates_of(sheets: list[FeatureSet], file: str | None,
+                  century: int | None) -> list[Projection]:
+    """Return the projections to choose from: of a file, or of the place and the century."""
+    if file is not None:
+        return projections_of_file(file)
+    return usual_projections(places_of_sheets(sheets), century)
+
+
+def places_of_sheets(sheets: list[FeatureSet]) -> FloatArray:
+    """Return the south-western and north-eastern corner of all sheets [deg], (2, 2).
+
+    Independent points take no part: the places say which projections are tried. Across 180 degrees
+    the eastern longitude is larger than that.
+
+    Raises
+    ------
+    TermselError
+        If no sheet has features that take part.
+    """
+    vertices = []
+    for sheet in map(without_independent, sheets):
+        ground = sheet.ground_vertices().copy()
+        ground[:, 2] = 0.0
+        vertices.append(to_wgs84(sheet.crs)(ground)[:, :2])
+    degrees = np.concatenate(vertices)
+    if not len(degrees):
+        raise TermselError("no map has control points, which tell what projections to try",
+                           hint="Measure control points, or state the projection.")
+    # Less than half a turn from the first.
+    first = degrees[0, 0]
+    degrees[:, 0] = first + (degrees[:, 0] - first + 180.0) % 360.0 - 180.0
+    return np.stack([degrees.min(axis=0), degrees.max(axis=0)])

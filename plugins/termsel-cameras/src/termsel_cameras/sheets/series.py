@@ -1,0 +1,333 @@
+"""A sheet of a series as a candidate of auto: an affine map that is expected to be like others."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from termsel import (
+    Adjustment,
+    Estimator,
+    Experience,
+    FeatureSet,
+    Fit,
+    FitData,
+    HeldOut,
+    Method,
+    Option,
+    Polynomial2D,
+    Scaling,
+    SensorModel,
+    Spread,
+    Undetermined,
+)
+from termsel.toolkit import BoolArray, FloatArray
+from termsel_cameras.sheets.paper import (
+    NAMES,
+    TURN,
+    Paper,
+    matrix_of,
+    plan_of,
+    rotation_by,
+    upright,
+    wrapped,
+)
+
+COLUMN = "sheet_paper"
+"""Column of the points that says what other sheets of the series tell."""
+
+UNKNOWNS = 6
+"""Of a sheet: the four of its paper, and its place."""
+
+TAILS = 4.0
+"""Degrees of freedom of what an affine map leaves of points: few are wild, as those of photos."""
+
+_STEPS, _ROUNDS = 30, 6
+
+PAPER = Option("paper", "", "Expected scale, turn, stretch and shear, their standard deviations, "
+               "the noise [px], its degrees of freedom, and the number of sheets.")
+
+
+def text_of(paper: Paper) -> str:
+    """Return what is known of a sheet as the column states it."""
+    numbers = [*paper.means, *paper.spreads, paper.noise, paper.freedom, paper.sheets]
+    return ",".join(repr(float(number)) for number in numbers)
+
+
+def paper_of_text(text: str) -> Paper:
+    """Return what a column states of a sheet.
+
+    Raises
+    ------
+    Undetermined
+        If it is no such statement.
+    """
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 2 * len(NAMES) + 3 or not np.isfinite(numbers).all() \
+            or min(numbers[4:10]) <= 0.0:
+        raise Undetermined(f"the column {COLUMN} does not state what a series tells: {text!r:.60}",
+                           hint="Read the points with --set series=FILE.json.")
+    return Paper(tuple(numbers[:4]), tuple(numbers[4:8]), numbers[8], numbers[9], int(numbers[10]))
+
+
+class SeriesSheet(Polynomial2D):
+    """Sheet of a series: an affine map of the plane, expected to be like those of other sheets.
+
+    References
+    ----------
+    Lindley and Smith 1972, J. R. Stat. Soc. B 34(1), for the prior that others tell. What sheets
+    have in common is termsel's own formulation.
+    """
+
+    name = "series-sheet"
+    declared_options = (PAPER,)
+
+    @cached_property
+    def exponents(self) -> Any:
+        """Exponents of 1, X and Y."""
+        return Polynomial2D(degree=1).exponents
+
+    @cached_property
+    def paper(self) -> Paper:
+        """What other sheets tell."""
+        return paper_of_text(self.options["paper"])
+
+
+@dataclass(frozen=True, eq=False)
+class _Posterior:
+    """The affine map of a sheet by its points and the others of its series [px, units of the CRS].
+
+    `values` are the four numbers of the paper and the place of the middle of the points,
+    `covariance` theirs, `sigma` the noise, `effective` how many of them the points determine.
+    """
+
+    values: FloatArray
+    covariance: FloatArray
+    sigma: float
+    effective: float
+
+
+@dataclass(frozen=True)
+class BySeries(Estimator):
+    """The affine map of a sheet by its points, and by what others of the series tell."""
+
+    name = "series-sheet"
+
+    def fit(self, model: SensorModel, control: FeatureSet, scaling: Scaling, terms: BoolArray,
+            used: BoolArray) -> Fit:
+        """Fit a sheet (see `Estimator.fit`) with all its terms."""
+        assert isinstance(model, SeriesSheet)
+        in_use = control.take(used)
+        posterior, middle = self._posterior(model, in_use, scaling)
+        plan, measured = plan_of(in_use, scaling), upright(in_use.points.image)
+        errors = np.empty_like(measured)
+        for i in range(len(measured)):
+            others = np.arange(len(measured)) != i
+            without = posterior_of(model.paper, plan[others] - middle, measured[others],
+                                   posterior.sigma)
+            errors[i] = measured[i] - _image(without.values, plan[i:i + 1] - middle)[0]
+        # From sample and minus line to line and sample.
+        errors = errors[:, ::-1] * [-1.0, 1.0]
+        coefficients = _coefficients(posterior.values, middle, scaling)
+        count = round(posterior.effective)
+        adjustment = Adjustment(coefficients, np.full(UNKNOWNS, np.nan), count, 2 * len(in_use),
+                                rank=count, condition=np.nan,
+                                sigma0=posterior.sigma / scaling.image_scale, converged=True)
+        return Fit(model, scaling, control, np.ones(UNKNOWNS, dtype=bool), used, adjustment,
+                   estimator=self, trace=posterior.effective,
+                   stored_held_out=HeldOut.of(errors, in_use))
+
+    def _posterior(self, model: SeriesSheet, in_use: FeatureSet,
+                   scaling: Scaling) -> tuple[_Posterior, FloatArray]:
+        """Return the sheet by its points, and the middle of these on the ground."""
+        plan = plan_of(in_use, scaling)
+        middle = plan.mean(axis=0)
+        return posterior_of(model.paper, plan - middle, upright(in_use.points.image)), middle
+
+    def spread(self, fitted: Fit, ground: FloatArray) -> Spread:
+        """Return the mean square errors at scaled places (see `Estimator.spread`)."""
+        assert isinstance(fitted.model, SeriesSheet)
+        scaling = fitted.scaling
+        posterior, middle = self._posterior(
+            fitted.model, fitted.control.take(fitted.used), scaling)
+        plan = ground[:, :2] * scaling.ground_scale[:2] + scaling.ground_offset[:2]
+        slopes = _slopes(posterior.values, plan - middle)[:, ::-1] / scaling.image_scale
+        factors = slopes @ np.linalg.cholesky(posterior.covariance)
+        noise = (posterior.sigma / scaling.image_scale) ** 2
+        return Spread((factors**2).sum(axis=2), np.full(2, noise), factors)
+
+    def experience(self, fitted: Fit) -> Experience:
+        """Return how well the noise is known by the series."""
+        assert isinstance(fitted.model, SeriesSheet)
+        return Experience(fitted.model.paper.freedom, UNKNOWNS, TAILS)
+
+
+def posterior_of(paper: Paper, plan: FloatArray, measured: FloatArray,
+                 sigma: float | None = None) -> _Posterior:
+    """Return the sheet that points (n, 2) and the prior of its paper support.
+
+    The plan is about its middle, `measured` are samples and minus lines [px]. Without a noise
+    `sigma` it is that of the residuals and the series, each by its degrees of freedom.
+    """
+    values = _start(paper, plan, measured)
+    noise = paper.noise if sigma is None else sigma
+    for _ in range(_ROUNDS if sigma is None else 1):
+        values, normal = _least_cost(paper, plan, measured, values, noise)
+        covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
+        prior = np.zeros((UNKNOWNS, UNKNOWNS))
+        prior[:4, :4] = np.diag(1.0 / np.array(paper.spreads) ** 2)
+        # The trace of what points contribute to the normal matrix, by all of it.
+        effective = UNKNOWNS - float(np.trace(covariance @ prior))
+        if sigma is None:
+            left = float(((measured - _image(values, plan)) ** 2).sum())
+            freedom = max(measured.size - effective, 0.0)
+            noise = float(np.sqrt((paper.freedom * paper.noise**2 + left)
+                                  / (paper.freedom + freedom)))
+    return _Posterior(values, covariance, noise, effective)
+
+
+def _start(paper: Paper, plan: FloatArray, measured: FloatArray) -> FloatArray:
+    """Return a similarity by two points or more, or else what is expected."""
+    place = measured.mean(axis=0)
+    about = measured - place
+    size = float((plan**2).sum())
+    if len(plan) < 2 or size == 0.0:
+        return np.array([*paper.means, *place])
+    # As complex numbers z of the plan and w of the image: the factor is sum(conj(z) w) / sum |z|^2.
+    real = float((plan * about).sum()) / size
+    turned = float((plan[:, 0] * about[:, 1] - plan[:, 1] * about[:, 0]).sum()) / size
+    scale = max(np.hypot(real, turned), 1e-12)
+    return np.array([np.log(scale), np.arctan2(turned, real), *paper.means[2:], *place])
+
+
+def _least_cost(paper: Paper, plan: FloatArray, measured: FloatArray, values: FloatArray,
+                sigma: float) -> tuple[FloatArray, FloatArray]:
+    """Return the values of the least cost, and the normal matrix there: Gauss-Newton.
+
+    The cost is that of the residuals, (measured - image)^2 / sigma^2, and of the first four values'
+    distance from what the paper of the series lets expect, (value - mean)^2 / spread^2.
+    """
+    means = np.array(paper.means)
+    spreads = np.array(paper.spreads)
+    for _ in range(_STEPS):
+        design = _slopes(values, plan).reshape(-1, UNKNOWNS) / sigma
+        residuals = (measured - _image(values, plan)).ravel() / sigma
+        from_expected = values[:4] - means
+        from_expected[TURN] = wrapped(from_expected[TURN])
+        normal = design.T @ design
+        normal[:4, :4] += np.diag(1.0 / spreads**2)
+        right = design.T @ residuals
+        right[:4] -= from_expected / spreads**2
+        step = np.linalg.solve(normal, right)
+        # Angles and logarithms of a half at most, so that a poor start does not run away.
+        step *= min(1.0, 0.5 / max(np.abs(step[:4]).max(), 1e-300))
+        values = values + step
+        if np.abs(step[:4]).max() < 1e-12:
+            break
+    return values, normal
+
+
+def _image(values: FloatArray, plan: FloatArray) -> FloatArray:
+    """Return samples and minus lines of places about the middle, (n, 2)."""
+    return np.asarray(plan @ matrix_of(values[:4]).T + values[4:])
+
+
+def _slopes(values: FloatArray, plan: FloatArray) -> FloatArray:
+    """Return the derivatives of samples and minus lines by the six values, (n, 2, 6)."""
+    scale, turn, stretch, shear = values[:4]
+    rotated = np.exp(scale) * plan @ rotation_by(turn).T
+    h = np.hypot(1.0, shear)
+    along, across = np.exp(stretch), np.exp(-stretch)
+    by_paper = (np.array([[h * along, 0.0], [0.0, -h * across]]),
+                np.array([[shear / h * along, 1.0], [1.0, shear / h * across]]))
+    matrix = matrix_of(values[:4])
+    slopes = np.zeros((len(plan), 2, UNKNOWNS))
+    slopes[..., 0] = plan @ matrix.T
+    # The derivative of a rotation is the one by a quarter turn more.
+    quarter = np.array([[0.0, -1.0], [1.0, 0.0]])
+    slopes[..., 1] = plan @ (matrix @ quarter).T
+    for i, derivative in enumerate(by_paper):
+        slopes[..., 2 + i] = rotated @ derivative.T
+    slopes[..., 4:] = np.eye(2)
+    return slopes
+
+
+def _coefficients(values: FloatArray, middle: FloatArray, scaling: Scaling) -> FloatArray:
+    """Return the coefficients of line, then of sample, by 1, X and Y, all scaled."""
+    corners = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    plan = corners * scaling.ground_scale[:2] + scaling.ground_offset[:2]
+    image = scaling.image(_image(values, plan - middle)[:, ::-1] * [-1.0, 1.0])
+    return np.concatenate([np.append(image[0, axis], image[1:, axis] - image[0, axis])
+                           for axis in range(2)])
+
+
+@dataclass(frozen=True, eq=False)
+class SheetOfSeries(Method):
+    """A sheet whose series tells what its paper is like."""
+
+    def declines(self, control: FitData) -> str | None:
+        """Return why no series is known, or the sheet is none of it."""
+        features = control.features
+        if COLUMN not in features.points.attributes:
+            return "no series of sheets is stated"
+        if len(features.lines) or not len(features.points):
+            return "a sheet of a series takes points alone"
+        return None
+
+    def fit(self, control: FitData) -> Fit:
+        """Fit the sheet by all points."""
+        text = stated_paper(control.features)
+        model = SeriesSheet(paper=text).prepared(control.scaling, control.features.crs)
+        assert model.paper.sheets > 0
+        return self.estimator.fit(model, control.features, control.scaling,
+                                  np.ones(UNKNOWNS, dtype=bool),
+                                  np.ones(len(control), dtype=bool))
+
+    def model(self, heights: bool) -> SensorModel | None:
+        """Return None: the model depends on the series."""
+        return None
+
+    def size(self, heights: bool) -> float:
+        """Return 0: what is known comes before what is fitted."""
+        return 0.0
+
+    def describe(self, fitted: Fit) -> str:
+        """Return what was borrowed from the other sheets, and how sure it is."""
+        assert isinstance(fitted.model, SeriesSheet)
+        paper = fitted.model.paper
+        spreads = paper.spreads
+        own = min(fitted.effective, float(UNKNOWNS))
+        return (f"{paper.sheets} other sheets of the series lend it their scale, to "
+                f"{100 * spreads[0]:.2g} %, their turn, to {np.degrees(spreads[1]):.2g} deg, their "
+                f"stretch and shear, to {100 * spreads[2]:.2g} and {100 * spreads[3]:.2g} %, and "
+                f"their noise of {paper.noise:.2g} px. The points of this sheet determine "
+                f"{own:.1f} of its {UNKNOWNS} numbers.")
+
+
+def stated_paper(features: FeatureSet) -> str:
+    """Return the one value of the column."""
+    values = {str(value) for value in features.points.attributes[COLUMN]}
+    if len(values) != 1:
+        raise Undetermined(f"the column {COLUMN} has {len(values)} values, and a sheet one series",
+                           hint="Read the points of each sheet by themselves.")
+    return values.pop()
+
+
+def with_paper(features: FeatureSet, paper: Paper) -> FeatureSet:
+    """Return features with a column that says what the series tells."""
+    points = features.points
+    columns: Mapping[str, Any] = {**points.attributes, COLUMN: np.array(
+        [text_of(paper)] * len(points), dtype=object)}
+    return replace(features, points=replace(points, attributes=columns))
+
+
+SHEET_OF_SERIES = SheetOfSeries("series-sheet", "a sheet like others of its series",
+                                short="sheet of a series", estimator=BySeries(), has_prior=True,
+                                from_one=True)

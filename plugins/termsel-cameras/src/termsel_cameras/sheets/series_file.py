@@ -1,0 +1,89 @@
+"""The file of a series of sheets: its projection, and what each sheet tells of the paper."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from termsel import FeatureSet, TermselError
+from termsel.toolkit import read_text
+from termsel.toolkit.coordinates import normalise
+from termsel_cameras.roles import without_independent
+from termsel_cameras.sheets.paper import NAMES, Paper, Sheet, marks_of, paper_of, sheet_of
+from termsel_cameras.sheets.series import with_paper
+
+
+@dataclass(frozen=True)
+class Series:
+    """A series of sheets.
+
+    Parameters
+    ----------
+    projection : str
+        In which all sheets were drawn; "" where points have no CRS.
+    sheets : tuple of Sheet
+        Those with points enough to tell the paper.
+    """
+
+    projection: str
+    sheets: tuple[Sheet, ...]
+
+    def text(self) -> str:
+        """Return the content of the file."""
+        return json.dumps({"projection": self.projection,
+                           "sheets": [asdict(sheet) for sheet in self.sheets]}, indent=1) + "\n"
+
+    def paper_for(self, features: FeatureSet) -> Paper:
+        """Return what the others tell of a sheet: one with a point of this sheet is itself."""
+        marks = set(marks_of(features))
+        return paper_of([sheet for sheet in self.sheets if marks.isdisjoint(sheet.points)])
+
+
+def series_of(sheets: Sequence[FeatureSet], projection: str) -> Series:
+    """Return the series of sheets in their projection. Independent check points take no part."""
+    fitted = [replace(sheet, fit_crs=projection) if projection else sheet for sheet in sheets]
+    told = [sheet_of(without_independent(sheet)) for sheet in fitted]
+    return Series(projection, tuple(sheet for sheet in told if sheet is not None))
+
+
+def read_series(path: Path | str) -> Series:
+    """Return the series of a file that `termsel map-series` wrote.
+
+    Raises
+    ------
+    TermselError
+        If it is none.
+    """
+    try:
+        content = json.loads(read_text(Path(path)))
+        sheets = tuple(_sheet(item) for item in content["sheets"])
+        projection = str(content["projection"])
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        raise TermselError(
+            f"{path} is no file of a series of sheets",
+            hint="Write one: termsel map-series SHEETS... -o series.json.") from error
+    return Series(normalise(projection) if projection else "", sheets)
+
+
+def _sheet(item: Any) -> Sheet:
+    """Return a sheet of a file; any error of its values is one of the file."""
+    values = tuple(float(value) for value in item["values"])
+    variances = tuple(float(value) for value in item["variances"])
+    noise, freedom = float(item["noise"]), int(item["freedom"])
+    numbers = np.array([*values, *variances, noise])
+    if len(values) != len(NAMES) or len(variances) != len(NAMES) or freedom < 1 \
+            or not np.isfinite(numbers).all() or min(*variances, noise) <= 0.0:
+        raise ValueError
+    return Sheet(values, variances, noise, freedom, tuple(str(mark) for mark in item["points"]))
+
+
+def in_series(features: FeatureSet, series: Series) -> FeatureSet:
+    """Return the points of a sheet with the projection and the paper that its series tells."""
+    if series.projection:
+        features = replace(features, fit_crs=series.projection)
+    return with_paper(features, series.paper_for(features))

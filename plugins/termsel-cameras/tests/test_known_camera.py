@@ -1,0 +1,272 @@
+"""Photos whose camera is known, against photos whose geometry is written out here."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+pytest.importorskip("termsel_cameras", reason="termsel-cameras is not installed: "
+                    "pip install -e plugins/termsel-cameras")
+
+import termsel
+from termsel import FeatureSet, FitData, Points, TermselError
+from termsel.testing import checks, invoke
+from termsel_cameras.known.cameras import CAMERAS
+from termsel_cameras.known.interior import interior_of
+from termsel_cameras.known.lens import Lens
+from termsel_cameras.known.method import KNOWN_CAMERA
+
+SIZE, FOCAL, HIGH = (3000, 4000), 3500.0, 1200.0
+CRS = "EPSG:32633"
+DATA = Path(os.environ.get("TERMSEL_DATA", "nowhere")) / "real"
+
+FloatArray = NDArray[np.float64]
+
+
+def photo(count: int, *, down: float = 88.0, seed: int = 0, noise: float = 0.5,
+          lens: Lens | None = None, mirrored: bool = False,
+          **columns: object) -> tuple[FeatureSet, FloatArray, FloatArray]:
+    """Return control of a camera over hills, other ground, and where that is seen."""
+    rng = np.random.default_rng(seed)
+    angle = np.radians(down)
+    ahead = np.array([0.6, 0.8, 0.0])
+    right = np.array([0.8, -0.6, 0.0])
+    view = np.cos(angle) * ahead - np.sin(angle) * np.array([0.0, 0.0, 1.0])
+    axes = np.stack([np.cross(view, right), right, view])
+    plan = rng.uniform(-0.35, 0.35, (8000, 2)) * HIGH
+    far = plan[:, :1] * 3 + (HIGH / np.tan(angle) if down < 80.0 else 0.0)
+    ground = far * ahead + plan[:, 1:] * right * (3.0 if down < 80.0 else 1.0)
+    ground[:, 2] = 40.0 * (np.sin(ground[:, 0] / 200.0) + np.cos(ground[:, 1] / 250.0))
+    seen = (ground - [0.0, 0.0, HIGH]) @ axes.T
+    away = seen[:, 1::-1] / seen[:, 2:]
+    away = (lens or Lens()).distorted(away)[:, ::-1]
+    image = FOCAL * away + (np.array(SIZE) - 1.0) / 2.0
+    if mirrored:
+        image[:, 1] = SIZE[1] - 1.0 - image[:, 1]
+    inside = (seen[:, 2] > 0) & (image > 0).all(axis=1) & (image < np.array(SIZE) - 1.0).all(axis=1)
+    ground = ground[inside] + [400_000.0, 5_000_000.0, 300.0]
+    image = image[inside]
+    points = Points(
+        tuple(f"P{i}" for i in range(count)),
+        image[:count] + noise * rng.standard_normal((count, 2)), ground[:count],
+        attributes={name: np.array([str(value)] * count, dtype=object)
+                    for name, value in columns.items()})
+    return FeatureSet(points, crs=CRS, image_size=SIZE), ground[count:], image[count:]
+
+
+def rmse(fitted: termsel.Fit, ground: FloatArray, image: FloatArray) -> float:
+    return float(np.sqrt(((fitted.project(ground) - image) ** 2).sum(axis=1).mean()))
+
+
+@pytest.mark.parametrize("down", [88.0, 25.0])
+@pytest.mark.parametrize("count", [3, 4, 8])
+def test_few_points_are_enough_for_a_known_camera(count: int, down: float) -> None:
+    errors = []
+    for seed in range(5):
+        control, ground, image = photo(count, down=down, seed=seed, camera_focal=FOCAL,
+                                       camera_height=1200)
+        errors.append(rmse(KNOWN_CAMERA.fit(FitData.of(control)), ground, image))
+    assert np.median(errors) < {3: 8.0, 4: 5.0, 8: 2.0}[count]
+
+
+def test_three_points_that_two_cameras_see_alike_are_refused() -> None:
+    control, _, _ = photo(3, down=40.0, seed=5, camera_focal=FOCAL)
+    with pytest.raises(TermselError, match="two cameras see") as refused:
+        KNOWN_CAMERA.fit(FitData.of(control))
+    assert "camera_height" in str(refused.value.hint)
+
+
+def test_a_lens_is_taken_off_and_put_on_again() -> None:
+    lens = Lens(-0.05, 0.02, 1e-3, -5e-4, 0.001)
+    control, ground, image = photo(
+        8, lens=lens, camera_focal=FOCAL, camera_distortion="-0.05,0.02,0.001,-0.0005,0.001")
+    fitted = KNOWN_CAMERA.fit(FitData.of(control))
+    assert rmse(fitted, ground, image) < 2.0
+    sigma = fitted.sigma(ground)
+    assert 0.2 < rmse(fitted, ground, image) / np.sqrt((sigma**2).sum(axis=1).mean()) < 3.0
+    places = np.random.default_rng(0).uniform(-0.4, 0.4, (50, 2))
+    np.testing.assert_allclose(lens.ideal(lens.distorted(places)), places, atol=1e-9)
+
+
+def test_a_mirrored_scan_is_seen_as_one() -> None:
+    control, ground, image = photo(6, mirrored=True, camera_focal=FOCAL)
+    assert rmse(KNOWN_CAMERA.fit(FitData.of(control)), ground, image) < 4.0
+
+
+def test_one_wild_point_hardly_moves_the_camera() -> None:
+    control, ground, image = photo(8, camera_focal=FOCAL)
+    measured = control.points.image.copy()
+    measured[2] += 150.0
+    wild = replace(control, points=replace(control.points, image=measured))
+    assert rmse(KNOWN_CAMERA.fit(FitData.of(wild)), ground, image) < 8.0
+
+
+def test_auto_chooses_the_camera_and_reads_it_back(tmp_path: Path) -> None:
+    control, ground, image = photo(6, down=30.0, camera_focal=FOCAL)
+    result = termsel.run(features=control, out=tmp_path / "out")
+    assert result.strategy is not None
+    assert result.strategy.chosen == "known-camera"
+    assert "60 deg off the vertical" in result.strategy.reason
+    again = termsel.read_result(tmp_path / "out").fit
+    np.testing.assert_allclose(again.project(ground), result.fit.project(ground), atol=1e-6)
+    assert rmse(again, ground, image) < 4.0
+    behind = np.array([[400_000.0 - 2000.0 * 0.6, 5_000_000.0 - 2000.0 * 0.8, 300.0]])
+    assert np.isnan(again.project(behind)).all()
+
+
+def test_a_result_states_where_the_camera_was_and_how_it_looked(tmp_path: Path) -> None:
+    control, _, _ = photo(12, down=60.0, camera_focal=FOCAL, noise=0.0)
+    result = termsel.run(features=replace(control, crs="local"), method="known-camera",
+                         out=tmp_path / "out")
+    figures = {figure.name: figure.value for figure in result.sensor}
+    for axis, place in zip("xyz", (400_000.0, 5_000_000.0, 1500.0), strict=True):
+        assert figures[f"projection centre {axis}"] == pytest.approx(place, abs=0.5)
+    assert figures["focal length"] == pytest.approx(FOCAL, abs=2.0)
+    # It looks along 0.6, 0.8 and 60 deg downwards; m31 = sin(phi), m21 / m11 = -tan(kappa).
+    angles = [np.radians(figures[name]) for name in ("omega", "phi", "kappa")]
+    view = [0.6 * 0.5, 0.8 * 0.5, -np.sqrt(0.75)]
+    assert np.sin(angles[1]) == pytest.approx(-view[0], abs=1e-3)
+    assert -np.sin(angles[0]) * np.cos(angles[1]) == pytest.approx(-view[1], abs=1e-3)
+    assert np.cos(angles[1]) * np.cos(angles[2]) == pytest.approx(0.8, abs=1e-3)
+    written = (tmp_path / "out" / "summary.txt").read_text("utf-8")
+    assert "projection centre x" in written
+    assert termsel.read_result(tmp_path / "out").sensor == result.sensor
+
+
+def test_options_of_reading_say_the_camera(tmp_path: Path) -> None:
+    table = tmp_path / "gcps.csv"
+    control, _, _ = photo(4)
+    rows = [f"{name},{line},{sample},{x},{y},{z}" for name, (line, sample), (x, y, z) in zip(
+        control.points.ids, control.points.image, control.points.ground, strict=True)]
+    table.write_text("\n".join(["id,line,sample,x,y,z", *rows]), encoding="utf-8")
+    camera = tmp_path / "mine.json"
+    camera.write_text(json.dumps({"focal": 3500, "principal_point": [1499.5, 1999.5],
+                                  "distortion": [0.01]}), encoding="utf-8")
+    read = termsel.read(table, crs=CRS, camera=str(camera), camera_position="400000,5000000,1500,9")
+    known = interior_of(read)
+    assert known is not None
+    assert (known.focal, known.line, known.distortion) == (3500.0, 1499.5, (0.01,))
+    assert known.position_spread == 9.0
+    with pytest.raises(TermselError, match="unknown camera 'wild-rc31'"):
+        interior_of(termsel.read(table, crs=CRS, camera="wild-rc31"))
+    with pytest.raises(TermselError, match="without the size of a pixel"):
+        interior_of(termsel.read(table, crs=CRS, camera_focal="153 mm"))
+    with pytest.raises(TermselError, match="camera_position does not accept"):
+        interior_of(termsel.read(table, crs=CRS, camera_focal=1, camera_position="7,8"))
+    in_px = interior_of(termsel.read(table, crs=CRS, camera_focal="153 mm", camera_pixel="21"))
+    assert in_px is not None
+    assert in_px.focal == pytest.approx(153.0 / 0.021)
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_cameras_by_name_tell_a_focal_length(name: str) -> None:
+    camera = CAMERAS[name]
+    pixels = camera.pixels if camera.pixels[0] else (11_500, 11_500)
+    control, _, _ = photo(3, camera=name)
+    known = interior_of(replace(control, image_size=pixels[::-1]))
+    assert known is not None
+    assert known.focal == pytest.approx(camera.focal / camera.width * pixels[0], rel=1e-3)
+    assert camera.source in known.source
+
+
+def test_the_exif_of_an_image_says_the_camera(tmp_path: Path) -> None:
+    image = pytest.importorskip("PIL.Image")
+    picture = image.new("L", (SIZE[1], SIZE[0]))
+    exif = image.Exif()
+    exif.get_ifd(0x8769)[0xA405] = 24  # FocalLengthIn35mmFilm
+    exif.get_ifd(0x8825).update({1: "N", 2: (45.0, 9.0, 0.0), 3: "E", 4: (13.0, 43.0, 30.0),
+                                 5: b"\0", 6: 1500.0})
+    picture.save(tmp_path / "photo.jpg", exif=exif)
+    control, _, _ = photo(4)
+    table = [{"id": name, "line": line, "sample": sample, "x": x, "y": y, "z": z}
+             for name, (line, sample), (x, y, z) in zip(
+                 control.points.ids, control.points.image, control.points.ground, strict=True)]
+    known = interior_of(termsel.read(table, crs=CRS, image=tmp_path / "photo.jpg"))
+    assert known is not None
+    assert known.focal == pytest.approx(24.0 / np.hypot(36.0, 24.0) * 5000.0, rel=1e-4)
+    assert known.position[2] == 1500.0
+    # What is stated comes before what the image says.
+    stated = interior_of(termsel.read(table, crs=CRS, image=tmp_path / "photo.jpg",
+                                      camera_focal="3500"))
+    assert stated is not None
+    assert stated.focal == 3500.0
+
+
+@pytest.mark.parametrize("down", [88.0, 35.0])
+def test_blunders_are_judged_by_the_camera(down: float) -> None:
+    """A cubic polynomial follows an oblique view of hills too badly to tell a blunder."""
+    control, ground, image = photo(22, down=down, seed=3, camera_focal=FOCAL)
+    measured = control.points.image.copy()
+    measured[[4, 13, 17]] += [[25.0, -14.0], [-9.0, 18.0], [40.0, 30.0]]
+    wrong = control.with_(points=replace(control.points, image=measured))
+    result = termsel.run(features=wrong)
+    assert {outlier.id for outlier in result.outliers} == {"P4", "P13", "P17"}
+    assert rmse(result.fit, ground, image) < 1.5
+
+
+def test_the_method_keeps_the_rules() -> None:
+    for check in checks(KNOWN_CAMERA, features=[photo(10, camera_focal=FOCAL)[0], photo(3)[0]]):
+        check.run()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not (DATA / "smapshot_nadir").is_dir(), reason="needs TERMSEL_DATA")
+def test_real_photos_are_resected() -> None:
+    """Photos of the years 1920 to 2000, measured by volunteers: some 7 px each by the others."""
+    folder = DATA / "smapshot_nadir"
+    rows = (folder / "photos.csv").read_text("utf-8").splitlines()[1:40:3]
+    errors = []
+    for name, width, height, focal, *_ in (row.split(",") for row in rows):
+        features = termsel.read(folder / f"{name}.csv", crs="EPSG:4979", camera_focal=focal)
+        features = replace(features, image_size=(int(height), int(width)))
+        fitted = KNOWN_CAMERA.fit(FitData.of(features))
+        errors.append(fitted.held_out_rmse)
+    assert np.median(errors) < 9.0
+
+
+@pytest.mark.slow
+def test_photos_of_one_flight_share_their_camera(tmp_path: Path) -> None:
+    files = []
+    for seed in range(4):
+        control, _, _ = photo(8, seed=seed, lens=Lens(-0.03))
+        rows = [f"{name},{'independent' if name == 'P7' else ''},{line},{sample},{x},{y},{z}"
+                for name, (line, sample), (x, y, z) in zip(
+                    control.points.ids, control.points.image, control.points.ground, strict=True)]
+        files.append(tmp_path / f"{seed}.csv")
+        files[-1].write_text("\n".join(["id,role,line,sample,x,y,z", *rows]), encoding="utf-8")
+    done = invoke("flight-camera", *files, "--crs", CRS, "--size", *SIZE, "--focal", "3600", "-o",
+                  tmp_path / "camera.json")
+    assert done.exit_code == 0, done.stderr
+    other = invoke("flight-camera", *files, "--crs", CRS, "--size", 500, 600, "-o",
+                   tmp_path / "other.json")
+    assert other.exit_code == 2
+    assert "0.csv: the image has 500 lines and 600 samples" in other.stderr
+    camera = json.loads((tmp_path / "camera.json").read_text("utf-8"))
+    assert camera["source"] == "4 photos, 28 control points"
+    assert abs(camera["focal"] / FOCAL - 1.0) < max(3.0 * camera["focal_spread"], 0.01)
+    assert abs(camera["distortion"][0] + 0.03) < 0.03
+
+
+@pytest.mark.slow
+def test_the_rmse_predicted_of_four_points_is_of_the_size_of_the_true_one() -> None:
+    """Without one of four points a camera is hardly determined, so that held-out errors run wild.
+    """
+    ratios, holds = [], []
+    for seed in range(6):
+        control, ground, image = photo(4, down=40.0, seed=seed, noise=4.0, camera_focal=FOCAL)
+        result = termsel.run(features=control)
+        measured = image + 4.0 * np.random.default_rng(seed).standard_normal(image.shape)
+        true = np.sqrt(((result.project(ground) - measured) ** 2).sum(axis=1).mean())
+        predicted = result.predicted
+        assert predicted is not None
+        ratios.append(predicted.rmse / true)
+        holds.append(predicted.low <= true <= predicted.high)
+        assert predicted.high / predicted.low < 30.0
+    assert 0.7 < np.median(ratios) < 1.5
+    assert sum(holds) >= 5

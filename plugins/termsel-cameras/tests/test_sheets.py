@@ -1,0 +1,246 @@
+"""Old maps: prime meridians, and the projection that a map or a series was drawn in."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+pytest.importorskip("termsel_cameras", reason="termsel-cameras is not installed: "
+                    "pip install -e plugins/termsel-cameras")
+pytest.importorskip("pyproj", reason="pyproj is not installed: pip install pyproj")
+
+import termsel
+from termsel import FeatureSet, FitData, Points, TermselError
+from termsel.testing import checks, invoke
+from termsel.toolkit.coordinates import normalise, transformation
+from termsel_cameras.sheets.candidates import projections_of_file, usual_projections
+from termsel_cameras.sheets.choosing import chosen_of, tried_projections
+from termsel_cameras.sheets.meridians import meridian_of
+from termsel_cameras.sheets.paper import Sheet, matrix_of, paper_of, values_of
+from termsel_cameras.sheets.reading import candidates_of, from_greenwich
+from termsel_cameras.sheets.series import SHEET_OF_SERIES, paper_of_text, stated_paper
+from termsel_cameras.sheets.series_file import in_series, series_of
+
+CONIC = "+proj=lcc +lat_1=43.5 +lat_2=48.5 +lat_0=46 +lon_0=8 +datum=WGS84 +units=m +no_defs"
+FLAT = "+proj=eqc +lat_ts=46 +lon_0=8 +datum=WGS84 +units=m +no_defs"
+EVERY = f"{CONIC}  # conic\n{FLAT}  # flat\n\n+proj=merc +lon_0=8 +datum=WGS84 +units=m +no_defs\n"
+
+FloatArray = NDArray[np.float64]
+
+
+def sheet(n: int, seed: int, middle: tuple[float, float] = (8.0, 46.0),
+          extent: float = 6.0) -> FeatureSet:
+    """Return points of a map in a conic projection; measured to 1 px."""
+    rng = np.random.default_rng(seed)
+    degrees = np.array(middle) + rng.uniform(-extent, extent, (n, 2)) * [1.0, 0.7]
+    ground = np.column_stack([degrees, np.zeros(n)])
+    x, y, _ = transformation("EPSG:4326", CONIC)(ground).T
+    image = np.column_stack([-y, x]) / (extent * 40.0) + 4000.0 + rng.normal(0.0, 1.0, (n, 2))
+    return FeatureSet(Points(tuple(f"P{i}" for i in range(n)), image,
+                             np.column_stack([degrees, np.full(n, np.nan)])), crs="EPSG:4326")
+
+
+def table(features: FeatureSet, path: Path, shift: float = 0.0) -> Path:
+    rows = [f"{name},{line},{sample},{x - shift},{y}" for name, (line, sample), (x, y, _) in zip(
+        features.points.ids, features.points.image, features.points.ground, strict=True)]
+    path.write_text("\n".join(["id,line,sample,x,y", *rows]), encoding="utf-8")
+    return path
+
+
+def test_degrees_from_ferro_or_paris_are_degrees(tmp_path: Path) -> None:
+    features = sheet(6, 0)
+    path = table(features, tmp_path / "ferro.csv", meridian_of("Ferro"))
+    read = termsel.read(path, crs="EPSG:4326", prime_meridian="ferro")
+    np.testing.assert_allclose(read.points.ground[:, :2], features.points.ground[:, :2])
+    assert meridian_of("2.5") == 2.5
+    with pytest.raises(TermselError, match="no prime meridian 'atlantis'"):
+        meridian_of("atlantis")
+    with pytest.raises(TermselError, match="longitudes in degrees"):
+        termsel.read(path, crs="local", prime_meridian="paris")
+
+
+def test_a_map_across_180_degrees_has_candidates_of_its_place() -> None:
+    points = Points(("A", "B", "C"), np.zeros((3, 2)),
+                    np.array([[176.0, -15.0, np.nan], [-177.0, -17.0, np.nan],
+                              [178.0, -20.0, np.nan]]))
+    features = FeatureSet(points, crs="EPSG:4326")
+    candidates = candidates_of([features], None, None)
+    assert "+lon_0=179.50000" in candidates[0].crs
+    assert candidates[-1].crs == "EPSG:32760"
+    # 140 deg west of Washington is 142.95 deg east of Greenwich.
+    west = features.with_(points=replace(points, ground=np.array([
+        [-140.0, 50.0, np.nan], [-139.0, 50.5, np.nan], [-140.0, 51.0, np.nan]])))
+    assert from_greenwich(west, -77.05).points.ground[0, 0] == pytest.approx(142.95)
+
+
+def test_independent_points_do_not_say_which_projections_are_tried() -> None:
+    ground = np.array([[7.0, 45.0, np.nan], [8.0, 46.0, np.nan], [20.0, 50.0, np.nan]])
+    points = Points(("A", "B", "C"), np.zeros((3, 2)), ground,
+                    roles=("control", "control", "independent"))
+    features = FeatureSet(points, crs="EPSG:4326")
+    control = features.with_(points=points.take([True, True, False]))
+    assert candidates_of([features], None, None) == candidates_of([control], None, None)
+    # Nor of how many turns longitudes are from Greenwich.
+    far = np.array([[190.0, 45.0, np.nan], [300.0, 46.0, np.nan], [310.0, 50.0, np.nan]])
+    points = replace(points, ground=far, roles=("control", "independent", "independent"))
+    moved = from_greenwich(features.with_(points=points), -20.0)
+    assert moved.points.ground[0, 0] == pytest.approx(170.0)
+    independent = features.with_(points=points.take([False, True, True]))
+    with pytest.raises(TermselError, match="no map has control points"):
+        candidates_of([independent], None, None)
+
+
+def test_the_projection_of_a_map_is_found(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    candidates = tmp_path / "mine.txt"
+    candidates.write_text(EVERY, encoding="utf-8")
+    read = termsel.read(table(sheet(10, 1), tmp_path / "map.csv"), crs="auto",
+                        projection_candidates=str(candidates))
+    assert read.fit_crs == normalise(CONIC)
+    assert "of 3 projections conic predicts the points best" in caplog.text
+    stated = termsel.read(tmp_path / "map.csv", crs="EPSG:4326", projection=FLAT)
+    assert stated.fit_crs == normalise(FLAT)
+    with pytest.raises(TermselError, match="for a projection that is chosen"):
+        termsel.read(tmp_path / "map.csv", crs="EPSG:4326", map_century=18)
+
+
+def test_sheets_of_a_series_share_their_projection(tmp_path: Path) -> None:
+    sheets = [sheet(10, 2), *(sheet(4, seed, (7.0 + seed / 5, 45.0), 1.5) for seed in range(3))]
+    candidates = tmp_path / "mine.txt"
+    candidates.write_text(EVERY, encoding="utf-8")
+    files = [table(one, tmp_path / f"{i}.csv") for i, one in enumerate(sheets)]
+    done = invoke("map-series", *files, "--candidates", candidates, "-o",
+                  tmp_path / "series.json")
+    assert done.exit_code == 0, done.stderr
+    assert "Chosen for 4 sheets: conic" in done.stdout
+    assert "Paper by 4 sheets" in done.stdout
+    read = termsel.read(files[1], crs="EPSG:4326", series=str(tmp_path / "series.json"))
+    assert read.fit_crs == normalise(CONIC)
+    # The other three sheets, not this one itself.
+    assert paper_of_text(stated_paper(read)).sheets == 3
+    (tmp_path / "wrong.json").write_text('{"projection": "", "sheets": [{}]}', encoding="utf-8")
+    with pytest.raises(TermselError, match="no file of a series"):
+        termsel.read(files[1], crs="EPSG:4326", series=str(tmp_path / "wrong.json"))
+
+
+def paper_sheet(n: int, seed: int, wild: bool = False) -> tuple[FeatureSet, FloatArray, FloatArray]:
+    """Return a sheet of one paper and scanner, other places, and where these are seen."""
+    rng = np.random.default_rng(seed)
+    values = np.array([-2.3, 0.0, 0.004, -0.003]) + rng.normal(0.0, [0.001, 0.005, 0.001, 0.001])
+    plan = rng.uniform(-15_000.0, 15_000.0, (n + 100, 2))
+    true = (plan @ matrix_of(values).T)[:, ::-1] * [-1.0, 1.0] + 2000.0
+    image = true + rng.normal(0.0, 3.0, true.shape)
+    corner = np.array([4e5 + 3e4 * seed, 5e6])
+    ground = np.column_stack([corner + plan, np.full(n + 100, np.nan)])
+    roles = ("control",) * n
+    if wild:
+        image[n:n + 3] += 500.0
+        roles += ("independent",) * 3
+    m = len(roles)
+    points = Points(tuple(f"P{i}" for i in range(m)), image[:m], ground[:m], roles=roles)
+    return FeatureSet(points, crs="EPSG:32632"), ground[n:], true[n:]
+
+
+def test_a_sheet_of_four_points_borrows_the_paper_of_its_neighbours() -> None:
+    series = series_of([paper_sheet(15, seed)[0] for seed in range(6)], "")
+    ratios = []
+    for seed in range(10, 18):
+        features, ground, image = paper_sheet(4, seed)
+        borrowed = SHEET_OF_SERIES.fit(FitData.of(in_series(features, series)))
+        alone = termsel.fit(features, "poly2d", degree=1)
+        errors = [np.sqrt(((fit.project(ground) - image) ** 2).sum(axis=1).mean())
+                  for fit in (borrowed, alone)]
+        ratios.append(errors[0] / errors[1])
+    assert np.median(ratios) < 0.8
+    assert "6 other sheets of the series lend it" in SHEET_OF_SERIES.describe(borrowed)
+
+
+def test_independent_points_do_not_tell_the_paper() -> None:
+    features = [paper_sheet(8, seed)[0] for seed in range(3)]
+    with_wild = [paper_sheet(8, seed, wild=True)[0] for seed in range(3)]
+    assert series_of(with_wild, "") == series_of(features, "")
+
+
+def test_the_numbers_of_a_sheet_are_those_of_its_matrix() -> None:
+    values = np.array([-1.2, 2.9, 0.01, -0.02])
+    np.testing.assert_allclose(values_of(matrix_of(values)), values, atol=1e-12)
+
+
+def test_sheets_about_half_a_turn_have_a_mean_turn_there() -> None:
+    sheets = [Sheet((0.0, turn, 0.0, 0.0), (1e-8,) * 4, 1.0, 10, ()) for turn in (3.13, -3.13)]
+    assert abs(abs(paper_of(sheets).means[1]) - np.pi) < 0.01
+
+
+def test_the_sheet_of_a_series_keeps_the_rules() -> None:
+    series = series_of([paper_sheet(15, seed)[0] for seed in range(3)], "")
+    features = [in_series(paper_sheet(n, 10 + n)[0], series) for n in (4, 9)]
+    for check in checks(SHEET_OF_SERIES, features=features):
+        check.run()
+
+
+def test_independent_points_take_no_part() -> None:
+    features = sheet(10, 3)
+    wild = features.points.image.copy()
+    wild[7:] += 500.0
+    roles = ("control",) * 7 + ("independent",) * 3
+    other = replace(features, points=replace(features.points, image=wild, roles=roles))
+    mine = replace(features, points=features.points.take(np.arange(10) < 7))
+    candidates = usual_projections(np.array([[2.0, 41.0], [14.0, 51.0]]), 20)[:3]
+    assert tried_projections([other], candidates) == tried_projections([mine], candidates)
+
+
+def test_projections_that_predict_alike_are_the_first_one() -> None:
+    small = sheet(8, 4, extent=0.05)
+    candidates = usual_projections(np.array([[7.95, 45.97], [8.05, 46.03]]))
+    assert chosen_of(tried_projections([small], candidates[:2]), candidates[:2]).crs == \
+        candidates[0].crs
+
+
+def test_a_century_has_its_projections(tmp_path: Path) -> None:
+    place = np.array([[2.0, 41.0], [14.0, 51.0]])
+    assert "Bonne" in {one.name for one in usual_projections(place, 19)}
+    assert "UTM 32N" not in {one.name for one in usual_projections(place, 19)}
+    (tmp_path / "wrong.txt").write_text("EPSG:4326\nnonsense\n", encoding="utf-8")
+    with pytest.raises(TermselError) as refused:
+        projections_of_file(tmp_path / "wrong.txt")
+    assert refused.value.line == 2
+
+
+@pytest.mark.slow
+def test_a_batch_of_maps_chooses_among_candidates_of_a_file(
+        tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    candidates = tmp_path / "mine.txt"
+    candidates.write_text(EVERY, encoding="utf-8")
+    (tmp_path / "maps").mkdir()
+    for seed in range(2):
+        table(sheet(6, seed), tmp_path / "maps" / f"{seed}.csv")
+    done = invoke("compare", "--points", tmp_path / "maps" / "*.csv", "--crs", "auto",
+                  "--candidates", candidates, "--out", tmp_path / "out")
+    assert done.exit_code == 0, done.stderr
+    assert caplog.text.count("of 3 projections conic predicts the points best") == 2
+
+
+def test_candidates_are_of_files(tmp_path: Path) -> None:
+    refused = invoke("compare", "--problem", "rfm-terms", "--candidates", tmp_path / "mine.txt",
+                     "--out", tmp_path / "out")
+    assert refused.exit_code == 2
+    assert "--candidates requires --points or --lines" in refused.stderr
+
+
+def test_a_projection_on_an_ellipsoid_without_a_datum_is_one_of_a_map(
+        tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    bonne = "+proj=bonne +lat_1=46 +lon_0=8 +a=6376523 +rf=308.64 +units=m +no_defs"
+    path = table(sheet(6, 0), tmp_path / "map.csv")
+    control = termsel.read(path, crs="EPSG:4326", projection=bonne)
+    fitted = termsel.fit(control, "poly2d", degree=1)
+    places = control.points.ground
+    np.testing.assert_allclose(fitted.locate(fitted.project(places), np.zeros(6))[:, :2],
+                               places[:, :2], atol=1e-7)
+    assert "no datum" not in caplog.text
+    # For all other uses a note says that where this is on the Earth is not known well.
+    transformation(bonne.replace("+lat_1=46", "+lat_1=46.25"), "EPSG:4979")
+    # PROJ calls a CRS without a name unknown, which names nothing.
+    assert "Note: the CRS has an ellipsoid and no datum" in caplog.text
