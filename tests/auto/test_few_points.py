@@ -276,7 +276,7 @@ def test_what_heights_may_do_is_said_without_an_exponent() -> None:
     both = FitData.of(FeatureSet(Points(tuple(map(str, range(20))), plan / 2, ground)), False)
     for height in np.arange(390.0, 410.0, 0.5):  # half of it is what it does, half of that in px
         other = Points(("hill",), plan[:1] / 2, np.array([[*plan[0], height]]))
-        notes = list(data_notes._on_flat(both, other))
+        notes = list(data_notes._note_on_flat(both, other))
         assert re.search(r"some (9\d|1\d\d) px", notes[-1])
 
 
@@ -312,7 +312,7 @@ def test_what_is_narrow_is_so_in_metres(crs: str, width: float, narrow: bool) ->
         ground = transformation("EPSG:4979", crs)(ground)
         ground[0, 2] = np.nan
     both = FeatureSet(Points(tuple(map(str, range(20))), image, ground), crs=crs)
-    assert bool(list(data_notes._on_one_line(both))) == narrow
+    assert bool(list(data_notes._note_on_one_line(both))) == narrow
 
 
 def test_points_all_over_a_scene_lie_on_no_line() -> None:

@@ -12,7 +12,7 @@ import termsel
 from termsel import FeatureSet, Points
 from termsel.auto.auto import Auto
 from termsel.auto.blunders import agreement, find_blunders
-from termsel.auto.majority import _closest_halves, _interleaved, majority
+from termsel.auto.majority import _are_interleaved, _closest_halves, majority
 from termsel.data.features import no_lines
 from termsel.data.fit_data import FitData
 from termsel.data.roles import by_roles
@@ -174,6 +174,6 @@ def test_points_that_disagree_are_among_the_others_in_whatever_order_they_are() 
     for seed in range(10):
         # Of the first 300 of either kind, those that disagree reach twice as far up the image.
         agreeing = np.random.default_rng(seed).uniform(size=2000) > 0.35
-        assert _interleaved(ordered, agreeing)
-        assert _interleaved(ground, agreeing)
-    assert not _interleaved(ordered, np.arange(2000) > 700)
+        assert _are_interleaved(ordered, agreeing)
+        assert _are_interleaved(ground, agreeing)
+    assert not _are_interleaved(ordered, np.arange(2000) > 700)

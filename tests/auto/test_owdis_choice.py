@@ -44,7 +44,7 @@ def test_where_owdis_is_taken_all_structures_are_shown(
     worse = replace(choice, chosen=replace(choice.chosen, stored_held_out=HeldOut(
         1e3 * choice.chosen.held_out().squares)))
     some = FitData.of(control.take(np.arange(len(control)) < 40), True)
-    monkeypatch.setattr(owdis, "_selected", lambda *given: some)
+    monkeypatch.setattr(owdis, "_select_features", lambda *given: some)
     monkeypatch.setattr(owdis, "_held_out", lambda *given: np.full((24, 2), 1e-3))
     found, _ = owdis.with_selected_lines(FitData.of(control, True), worse, Auto(), 1)
     assert len(found.chosen.control.lines) == 16

@@ -335,7 +335,7 @@ def test_datasets_are_declared_simulated():
 def test_sensor_and_terrain_of_a_scene_are_computed_once():
     for name in NAMES:
         simulate_scene(name)
-    scenes._measured.cache_clear()
+    scenes._noise_free_features.cache_clear()
     before = scenes._geometry.cache_info()
     for name in NAMES:
         simulate_scene(name, seed=1)
@@ -365,7 +365,7 @@ def test_loading_needs_numpy_alone():
 def test_many_points_are_as_far_apart_as_could_be(monkeypatch):
     """A tree of all but the latest points answers as the distances to each would."""
     def drawn():
-        scenes._measured.cache_clear()
+        scenes._noise_free_features.cache_clear()
         return simulate_scene("ikonos-hamedan", roles=(90, 60, 50), n_lines=0).points.ground
 
     each = drawn()

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from termsel.adjustment import Equations, solve
 from termsel.adjustment.blocks import paying, reduced
-from termsel.adjustment.kernels import BLOCK, _prepared, needs_compilation, solve_many
+from termsel.adjustment.kernels import BLOCK, _kept_data_of, needs_compilation, solve_many
 from termsel.data.features import FeatureSet, Points
 from termsel.models.quotient import RationalFunctions
 
@@ -255,7 +255,7 @@ def test_many_rows_are_solved_as_lapack_does(prior: bool) -> None:
     features[2] = np.arange(n) >= 30  # of no use for the last term
     features[3] = np.arange(n) < 5
     found, violation = solve_many(equations, None, features)
-    assert _prepared(equations).blocks is not None
+    assert _kept_data_of(equations).blocks is not None
     unsafe = 0
     for mask, x, lacking in zip(features, found, violation, strict=True):
         one = solve(equations, None, mask)
@@ -265,7 +265,8 @@ def test_many_rows_are_solved_as_lapack_does(prior: bool) -> None:
             b = equations.b[rows]
             gap = np.linalg.norm(A[rows] @ (x - one.coefficients))
             assert gap <= 1e-10 * np.linalg.norm(b)
-        system = next(reduced(_prepared(equations).blocks, _prepared(equations).triangle[:, :k],
+        system = next(reduced(_kept_data_of(equations).blocks,
+                              _kept_data_of(equations).triangle[:, :k],
                               mask[None], np.array([True])))[1]
         unsafe += system is None
     assert 1 <= unsafe <= 20
@@ -273,7 +274,7 @@ def test_many_rows_are_solved_as_lapack_does(prior: bool) -> None:
     terms = rng.random((40, k)) < np.linspace(0.2, 1.0, 40)[:, None]
     terms[5], features[5] = True, np.arange(n) % 6 == 0
     found, violation = solve_many(equations, None, features)
-    those = paying(_prepared(equations).feature, terms, features)
+    those = paying(_kept_data_of(equations).feature, terms, features)
     assert 5 <= those.sum() <= 35
     own = solve_many(equations, terms, features)
     for on, mask, x, lacking in zip(terms, features, *own, strict=True):

@@ -13,7 +13,7 @@ from termsel.data.coordinates.places import beyond
 from termsel.data.features import FeatureSet, FloatArray, Points, no_lines
 from termsel.simulate import scene_truth, simulate_scene
 from termsel.simulate.catalogue import SCENES
-from termsel.simulate.scenes import _on_ground
+from termsel.simulate.scenes import _ground_positions
 
 NORMAL_90 = 1.645
 REGIONS = ("inside", "edge", "outside")
@@ -34,7 +34,8 @@ def _covered(model: str, count: int, **options: int) -> dict[str, tuple[float, f
         for seed in range(3):
             control = _part(name, seed, count)
             rng = np.random.default_rng([seed, count])
-            ground = _on_ground(name, rng.uniform(0.02, 0.98, (300, 2)) * SCENES[name].image_size)
+            ground = _ground_positions(name,
+                                       rng.uniform(0.02, 0.98, (300, 2)) * SCENES[name].image_size)
             truth = scene_truth(name).sensor.project(ground)
             fitted = termsel.fit(control, model, **options)
             errors, noise = fitted.project(ground) - truth, rng.standard_normal(truth.shape) / 2

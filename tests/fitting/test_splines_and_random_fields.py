@@ -131,7 +131,7 @@ def one_cell(monkeypatch: pytest.MonkeyPatch) -> tuple[float, float, tuple[float
                         ("EQUAL_LENGTHS_PROBABILITY", 0.0)):
         monkeypatch.setattr(field, name, value)
     field._cached_gaussian_process.cache_clear()
-    posterior._of_polynomial.cache_clear()
+    posterior._cached_polynomial_posterior.cache_clear()
     return size, ratio, lengths
 
 
@@ -141,7 +141,7 @@ def test_one_solution_is_universal_kriging(monkeypatch: pytest.MonkeyPatch) -> N
     points, at = scattered(25), scattered(12, seed=6).ground
     found = fit_gaussian_process(points, 2)
     field._cached_gaussian_process.cache_clear()
-    posterior._of_polynomial.cache_clear()
+    posterior._cached_polynomial_posterior.cache_clear()
     assert found is not None
     one, other = (monomials(g, found.exponents) for g in (points.ground, at))
     own = size * np.array([0.1 ** (sum(e) - 2.0) for e in found.exponents[3:]])
@@ -176,7 +176,7 @@ def test_one_solution_for_few_points_is_a_thin_plate_spline(
     points, at = scattered(field.SPLINE_SURE_POINTS), scattered(12, seed=6).ground
     found = fit_gaussian_process(points, 2)
     field._cached_gaussian_process.cache_clear()
-    posterior._of_polynomial.cache_clear()
+    posterior._cached_polynomial_posterior.cache_clear()
     assert found is not None
     # In the image, where the kernels have a mean variance of 1, and the size is 10.
     one, other = (np.column_stack([np.ones(len(g)), g[:, :2]]) for g in (points.ground, at))
@@ -384,7 +384,7 @@ def test_more_points_leave_less_uncertain_in_units_of_the_noise(
     points = scattered(80)
     before, after = (fit_gaussian_process(points.take(np.arange(n)), 2) for n in (40, 80))
     field._cached_gaussian_process.cache_clear()
-    posterior._of_polynomial.cache_clear()
+    posterior._cached_polynomial_posterior.cache_clear()
     assert before is not None
     assert after is not None
     (less, noise), (more, other) = (found.spread(points.ground) for found in (after, before))
@@ -392,7 +392,7 @@ def test_more_points_leave_less_uncertain_in_units_of_the_noise(
     monkeypatch.setattr(field, "FIELD_KNOTS", 10)
     few = fit_gaussian_process(points, 2)
     field._cached_gaussian_process.cache_clear()
-    posterior._of_polynomial.cache_clear()
+    posterior._cached_polynomial_posterior.cache_clear()
     assert few is not None
     variance, counted = few.spread(points.ground)
     assert (variance / counted).mean() > (less / noise).mean()

@@ -24,7 +24,7 @@ from termsel.data.rasters import tiff_bytes
 from termsel.plugins.kinds import KINDS
 from termsel.plugins.registry import Registry
 from termsel.studies.cells.folder import PLAN, status
-from termsel.studies.cells.journal import _sealed as sealed_line
+from termsel.studies.cells.journal import _seal_record as sealed_line
 from termsel.studies.compare import asked, plan_cells
 from termsel_studies.pages import latex, markdown
 from termsel_studies.report import report

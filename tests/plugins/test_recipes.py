@@ -69,10 +69,10 @@ def test_options_of_other_problems_are_refused() -> None:
 
 
 def test_what_a_recipe_does_not_declare_is_described() -> None:
-    names = [option.name for option in describe._undeclared(UNDECLARED)]
+    names = [option.name for option in describe._options_of_prepared_problem(UNDECLARED)]
     assert {"objectives", "max_share", "force_on"} <= set(names)
     assert "max_features" not in names
-    assert describe._undeclared(_recipe("both")) == []
+    assert describe._options_of_prepared_problem(_recipe("both")) == []
 
 
 @pytest.mark.parametrize("name", ["rfm-terms", "owdis-points", "yavari-2018"])

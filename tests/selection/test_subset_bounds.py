@@ -42,7 +42,7 @@ def test_a_limit_that_a_subset_scores_never_rules_it_out() -> None:
             score = float((((f - C[:, chosen] @ x) / below) ** 2).sum())
             used = chosen[:rng.integers(0, size)]
             rest = rng.permutation(np.setdiff1d(np.arange(k), used))
-            vectors, limits, _ = systems._prepared(SubtreeNode(used, rest, len(rest)))
+            vectors, limits, _ = systems._vectors_of_node(SubtreeNode(used, rest, len(rest)))
             first = int(np.flatnonzero(np.isin(rest, chosen))[0])
             upper = np.append(np.ones(c), 1 / (limits.margin * c))
             end = first_closed(vectors.top[0, 0], vectors.extra[0, 0], first, len(rest),

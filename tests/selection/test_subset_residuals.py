@@ -13,7 +13,7 @@ from termsel.selection.best_subsets import score_systems as score_systems_module
 from termsel.selection.best_subsets import subsets
 from termsel.selection.best_subsets.bounds.poles import node_bound, order_columns
 from termsel.selection.best_subsets.columns.system import SubsetSystem, SubtreeNode
-from termsel.selection.best_subsets.descents import _changes
+from termsel.selection.best_subsets.descents import _single_changes
 from termsel.selection.best_subsets.score_systems import ScoreSystems, score_systems
 from termsel.selection.best_subsets.splicing import spliced
 from termsel.selection.best_subsets.subsets import SubsetResult, search
@@ -206,7 +206,7 @@ def test_splicing_finds_the_best_of_all_changes_by_a_column() -> None:
         nothing = (np.full(systems.k + 1, np.inf), np.zeros(systems.k + 1, dtype=np.uint64))
         found = spliced(systems, mask, *nothing, set())
         best, masks = nothing
-        for node in _changes(systems, mask):
+        for node in _single_changes(systems, mask):
             walked = systems.walk(node, best, masks)
             best, masks = walked.best, walked.masks
         if found is None:

@@ -17,7 +17,7 @@ from termsel import Generation, Solver
 from termsel.core.files.names import JOURNAL
 from termsel.plugins.registry import registry
 from termsel.studies.cells.identity import made_of
-from termsel.studies.cells.journal import _sealed, _sum, read_journal
+from termsel.studies.cells.journal import _seal_record, _sum, read_journal
 
 FEW: dict[str, Any] = {"seeds": 1, "budget": {"evaluations": 60}}
 
@@ -126,7 +126,7 @@ def test_a_record_that_no_run_writes_is_refused(forged: dict[str, Any], tmp_path
     record = json.loads(line)["record"]
     record = {**record, **forged,
               "figures": {**record["figures"], **forged.get("figures", {})}}
-    (tmp_path / JOURNAL).write_text(head + "\n" + _sealed(record).decode())
+    (tmp_path / JOURNAL).write_text(head + "\n" + _seal_record(record).decode())
     assert "damaged in 1 line" in read_journal(tmp_path).remarks[0]
     again = termsel.compare(**asked).rows
     assert again[0]["fitness"] == first[0]["fitness"]

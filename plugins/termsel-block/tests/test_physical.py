@@ -135,7 +135,7 @@ def test_a_sensor_that_is_right_hides_no_other(
         return {i: Contradiction(1e-9, severity[image.options["sensor"]], ())
                 for i, image in enumerate(adjusted.images) if "sensor" in image.options}
 
-    monkeypatch.setattr(joint, "_adjusted", lambda block, *_: SimpleNamespace(
+    monkeypatch.setattr(joint, "_adjust_as_stated", lambda block, *_: SimpleNamespace(
         block=block, adjusted=block))
     monkeypatch.setattr(joint, "_with_note_on_dem", lambda result: result)
     monkeypatch.setattr(joint, "_without_worse", lambda result, *_: result)
@@ -181,7 +181,7 @@ def test_a_sensor_that_bends_the_ground_or_control_is_not_taken(
                 (0, "G1"): score, (1, "G1"): -90.0},
             state=SimpleNamespace(cameras=())))
 
-    monkeypatch.setattr(joint, "_adjusted", rough)
+    monkeypatch.setattr(joint, "_adjust_as_stated", rough)
     monkeypatch.setattr(joint, "_with_note_on_dem", lambda result: result)
     found = adjust(block).block
     assert len(tried) == 2
@@ -207,7 +207,7 @@ def test_a_block_without_a_sensor_is_adjusted_once(
         return Outcome(block, SimpleNamespace(
             roughness=300.0 if stated else 100.0, converged=True, score={}, stated=stated))
 
-    monkeypatch.setattr(joint, "_adjusted", flat)
+    monkeypatch.setattr(joint, "_adjust_as_stated", flat)
     monkeypatch.setattr(joint, "_with_note_on_dem", lambda result: result)
     monkeypatch.setattr(joint, "agrees_better", lambda *_: False)
     monkeypatch.setattr(contradictions, "contradicted", lambda adjusted: {

@@ -144,7 +144,7 @@ def test_local_deformation_has_the_size_asked_for() -> None:
 
 def test_a_sheet_is_shifted_turned_and_scaled() -> None:
     places = np.random.default_rng(0).uniform(0, maps.SIZE, (200, 2))
-    shift = maps._joined(np.random.default_rng(1), (2, 2), 6.0, places)
+    shift = maps._shift_by_sheet(np.random.default_rng(1), (2, 2), 6.0, places)
     first = (places < np.array(maps.SIZE) / 2).all(axis=1)
     design = np.column_stack([np.ones(first.sum()), places[first]])
     x, rest = np.linalg.lstsq(design, shift[first])[:2]

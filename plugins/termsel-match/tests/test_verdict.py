@@ -28,7 +28,7 @@ from termsel_match.images.rasters import GreyRaster, open_picture
 from termsel_match.judgement.along import Along, along
 from termsel_match.judgement.evidence import OtherPlace, other_place, structure, unsupported
 from termsel_match.judgement.repeats import repetition
-from termsel_match.judgement.selection import Selected, _missed, select_points
+from termsel_match.judgement.selection import Selected, _rms_at_unused, select_points
 from termsel_match.judgement.verdict import reasons
 from termsel_match.simulated.world import CRS, World
 from termsel_match.simulated.world_files import write_world
@@ -173,7 +173,7 @@ def test_what_a_correction_misses_is_neither_noise_nor_wrong_candidates() -> Non
         ground = np.column_stack([image - moved, np.zeros(400)])
         for sigma, noise in ((None, 0.5), (0.5, 0.0), (5.0, 0.0)):  # the last is overstated
             stated = None if sigma is None else np.full((400, 2), sigma)
-            told = _missed(seen, Points(tuple(map(str, range(400))), image, ground, stated))
+            told = _rms_at_unused(seen, Points(tuple(map(str, range(400))), image, ground, stated))
             true = np.hypot(missed * 3 / 2**0.5, noise * 2**0.5)
             assert abs(told - true) < 0.35
 

@@ -298,7 +298,7 @@ class _Prepared:
 _PREPARED: WeakKeyDictionary[Equations, _Prepared] = WeakKeyDictionary()
 
 
-def _prepared(equations: Equations) -> _Prepared:
+def _kept_data_of(equations: Equations) -> _Prepared:
     """Return the data kept for the equations, computed the first time."""
     prepared = _PREPARED.get(equations)
     if prepared is None:
@@ -328,7 +328,7 @@ def solve_many(equations: Equations, terms: BoolArray | None, features: BoolArra
     are the coefficients (p, k), 0 where a term is not selected, and throughout where a mask has no
     unique solution; and the violations (p,), selected terms minus rank.
     """
-    shared = _prepared(equations)
+    shared = _kept_data_of(equations)
     k = equations.A.shape[1]
     p = next((len(mask) for mask in (terms, features) if mask is not None), 1)
     columns = np.ones((p, k), dtype=bool) if terms is None else np.asarray(terms, dtype=bool)

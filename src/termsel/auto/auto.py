@@ -254,7 +254,7 @@ class Auto(Method):
         """
         candidates = self.offered(data)
         # A method may say that nothing else is possible, as of a file that names its sensor.
-        if (settled := self._settled(candidates, data)) is not None:
+        if (settled := self._choice_settled_by_features(candidates, data)) is not None:
             return settled
         fits: dict[str, Fit] = {}
         # What contains others comes first where these need not be fitted then.
@@ -283,7 +283,8 @@ class Auto(Method):
         """Whether there is nothing to choose: one method is asked for."""
         return len(self.methods) == 1
 
-    def _settled(self, candidates: Iterable[Method], data: FitData) -> Choice | None:
+    def _choice_settled_by_features(self, candidates: Iterable[Method],
+                                    data: FitData) -> Choice | None:
         """Return the choice of the method that the features support alone, if one says so."""
         for method in candidates:
             reason = self._settles(method, data)
@@ -458,7 +459,7 @@ class Auto(Method):
             """Return the fit of the method that is chosen without some features; None if too few
             remain.
             """
-            remaining = _without(data, excluded)
+            remaining = _features_without(data, excluded)
             chosen = None if len(remaining) < fewest else \
                 choice_for_parts.choose_features(remaining, watch, with_contained=False)
             fitted = None if chosen is None else chosen.chosen
@@ -477,7 +478,7 @@ class Auto(Method):
     def _alone_without(self, data: FitData, watch: Watch, out: BoolArray) -> Fit | None:
         """Return the fit of the only method without some features: there is nothing to choose by.
         """
-        fitted: Fit | None = self.ask(self.methods[0], "fit", _without(data, out))
+        fitted: Fit | None = self.ask(self.methods[0], "fit", _features_without(data, out))
         watch(fitted)
         return fitted
 
@@ -509,7 +510,7 @@ class Auto(Method):
                    key=lambda direction: float((direction[0]**2).sum(axis=1).mean()))
 
 
-def _without(data: FitData, out: BoolArray) -> FitData:
+def _features_without(data: FitData, out: BoolArray) -> FitData:
     """Return features without some, as plane where relief rests on one of the others.
 
     It tells nothing of those held out then.

@@ -98,31 +98,31 @@ def _suspects_of(control: FitData, auto: Auto) -> Suspects | None:
     test_of_all = cache(Division(control, everything).shrunken_test)
     by_majority = None
     if len(control) >= MIN_POINTS:
-        by_majority = _by_majority(control)
+        by_majority = _majority_and_test(control)
     if by_majority is not None:
         max_share = MAX_MINORITY
         used, test = by_majority
     else:
         max_share = MAX_BLUNDER_SHARE
         # A core without blunders first, then all that it predicts: one blunder may hide another.
-        core = _core(control, test_of_all)
+        core = _agreeing_core(control, test_of_all)
         if core is None:
             return None
-        used, test = _judged_by_field(control, *_readmitted(control, *core, test_of_all))
+        used, test = _judge_by_field(control, *_readmit_predicted(control, *core, test_of_all))
     while not (used.all() or test.by_field) and (
             choice := auto.choose(control.take(used), with_contained=False)):
         # Another model, such as an RFM, may predict what the polynomial of the tests does not.
-        extended = used | _predicted_by(choice.chosen, control.features)
+        extended = used | _features_predicted_by(choice.chosen, control.features)
         if (extended == used).all():
             break
         used = extended
     retained = used
     # With few points a probable blunder may be half of what there is.
     if len(control) >= MIN_PROBABLE_POINTS and not len(control.features.lines):
-        retained = _without_probable(control, used, max_share)
+        retained = _leave_out_probable_blunders(control, used, max_share)
     if (retained != used).any():
         test = Division(control, retained).test() or test
-    by_projection = None if by_majority else _by_projection(control, auto, retained)
+    by_projection = None if by_majority else _judge_by_projection(control, auto, retained)
     if by_projection is not None:
         retained, test = by_projection
     far = test.far(len(control))
@@ -131,7 +131,7 @@ def _suspects_of(control: FitData, auto: Auto) -> Suspects | None:
     # Beyond chance, but where the prediction is too weak to accuse it.
     undecided = retained & far & ~decided
     # Who is suspected by a polynomial may be right by the geometry of the sensor.
-    cleared = _explained(control, auto, blunders | undecided)
+    cleared = _points_a_model_explains(control, auto, blunders | undecided)
     suspects = test.suspects(blunders & ~cleared, blunders & ~cleared & ~(far & decided),
                              undecided & ~cleared, everything)
     # A field predicts little without a point, but the polynomial judged all points before it. In
@@ -143,7 +143,7 @@ def _suspects_of(control: FitData, auto: Auto) -> Suspects | None:
     return replace(suspects, limits=np.minimum(suspects.limits, limits))
 
 
-def _by_majority(control: FitData) -> tuple[BoolArray, Test] | None:
+def _majority_and_test(control: FitData) -> tuple[BoolArray, Test] | None:
     """Return the points that agree, and their test, where more than a third are blunders.
 
     None where the usual search will do: the points that agree with a majority may predict others
@@ -152,19 +152,19 @@ def _by_majority(control: FitData) -> tuple[BoolArray, Test] | None:
     agreeing = majority(control)
     if agreeing is None:
         return None
-    settled = _settled(control, agreeing)
+    settled = _grow_majority(control, agreeing)
     if settled is None:
         return None
     used, test = settled
     # A field that few points leave free may follow blunders: then the polynomial has decided.
-    for judged, its_test in (_judged_by_field(control, used, test, MAX_MINORITY), (used, test)):
+    for judged, its_test in (_judge_by_field(control, used, test, MAX_MINORITY), (used, test)):
         if MIN_MINORITY < (~judged).mean() <= MAX_MINORITY \
                 and is_outvoted(control, ~judged, its_test):
             return judged, its_test
     return None
 
 
-def _settled(control: FitData, agreeing: BoolArray) -> tuple[BoolArray, Test] | None:
+def _grow_majority(control: FitData, agreeing: BoolArray) -> tuple[BoolArray, Test] | None:
     """Return the points of a majority and those that it predicts, and their test.
 
     The closest are admitted bit by bit, until the noise jumps: among many admitted at once blunders
@@ -201,12 +201,12 @@ def agreement(control: FitData) -> BoolArray | None:
     """
     if len(control) >= MIN_POINTS:
         return None
-    by_majority = _by_majority(control)
+    by_majority = _majority_and_test(control)
     return None if by_majority is None else by_majority[0]
 
 
-def _by_projection(control: FitData, auto: Auto,
-                   used: BoolArray) -> tuple[BoolArray, Test] | None:
+def _judge_by_projection(control: FitData, auto: Auto,
+                         used: BoolArray) -> tuple[BoolArray, Test] | None:
     """Judge all points by a central projection or a known camera, if the choice is one; else None.
 
     Polynomials follow an oblique view so badly that what they leave hides blunders, and makes sound
@@ -231,8 +231,8 @@ def _by_projection(control: FitData, auto: Auto,
     test = test_of_all()
     if test is not None and not _stands_out(test.errors):
         return everything, test
-    core = _core(control, test_of_all, test_of)
-    return None if core is None else _readmitted(control, *core, test_of_all, test_of)
+    core = _agreeing_core(control, test_of_all, test_of)
+    return None if core is None else _readmit_predicted(control, *core, test_of_all, test_of)
 
 
 def _stands_out(errors: FloatArray) -> bool:
@@ -241,7 +241,7 @@ def _stands_out(errors: FloatArray) -> bool:
     return bool(errors.max() > MIN_STRAIN * median(errors) / 1.05)
 
 
-def _explained(control: FitData, auto: Auto, suspected: BoolArray) -> BoolArray:
+def _points_a_model_explains(control: FitData, auto: Auto, suspected: BoolArray) -> BoolArray:
     """Return which suspected points a parametric model of all other points predicts.
 
     Polynomials and random fields follow an oblique view badly: what bends there is the image. A
@@ -253,7 +253,7 @@ def _explained(control: FitData, auto: Auto, suspected: BoolArray) -> BoolArray:
         choice = auto.choose(control.take(~suspected | cleared), with_contained=False)
         if choice is None or not _is_parametric(choice.chosen):
             break
-        further = suspected & ~cleared & _predicted_by(choice.chosen, control.features)
+        further = suspected & ~cleared & _features_predicted_by(choice.chosen, control.features)
         if not further.any():
             break
         cleared |= further
@@ -266,7 +266,7 @@ def _is_parametric(fitted: Fit) -> bool:
                 or isinstance(fitted.interpolation, GaussianProcess))
 
 
-def _without_probable(control: FitData, used: BoolArray, max_share: float) -> BoolArray:
+def _leave_out_probable_blunders(control: FitData, used: BoolArray, max_share: float) -> BoolArray:
     """Leave out points that are likelier blunders than right, the likeliest one first each time."""
     retained = used.copy()
     while (~retained).sum() < int(max_share * len(control)):
@@ -278,7 +278,7 @@ def _without_probable(control: FitData, used: BoolArray, max_share: float) -> Bo
     return retained
 
 
-def _predicted_by(chosen: Fit, features: FeatureSet) -> BoolArray:
+def _features_predicted_by(chosen: Fit, features: FeatureSet) -> BoolArray:
     """Return the features that a fit predicts as it predicts those that it was made with."""
     averaged = isinstance(chosen.estimator, Averaging)
     if len(features.lines) and averaged:  # the test was by the same polynomial
@@ -289,10 +289,10 @@ def _predicted_by(chosen: Fit, features: FeatureSet) -> BoolArray:
     if _is_parametric(chosen):
         # The test was of another model than the chosen one.
         bound = max(bound, CLEAR_RATIO * np.sqrt(squares.max()))
-    return np.asarray(_errors(chosen, features) <= bound)
+    return np.asarray(_largest_errors(chosen, features) <= bound)
 
 
-def _errors(fitted: Fit, features: FeatureSet) -> FloatArray:
+def _largest_errors(fitted: Fit, features: FeatureSet) -> FloatArray:
     """Return the largest error of each feature in line or sample, or off its line [px]."""
     largest = np.zeros(len(features))
     # A blunder is mostly one of line or of sample alone.
@@ -321,27 +321,29 @@ def judge_others(chosen: Fit, heights: bool, other_points: Points,
     is_other = np.zeros(len(all_features), dtype=bool)
     is_other[count:count + len(other_points)] = True
     # Where control is scarce, the others tell more than it does. They begin with those it predicts.
-    used = ~is_other | _predicted_by(chosen, all_features.features)
+    used = ~is_other | _features_predicted_by(chosen, all_features.features)
     return memory.recall((is_other.tobytes(), used.tobytes()), all_features,
-                         lambda: _contradictions(all_features, is_other, used))
+                         lambda: _contradicting_features(all_features, is_other, used))
 
 
-def _contradictions(all_features: FitData, is_other: BoolArray, used: BoolArray) -> Suspects | None:
+def _contradicting_features(all_features: FitData, is_other: BoolArray,
+                            used: BoolArray) -> Suspects | None:
     """Return which features that are other contradict all, beginning with those `used`."""
     test_of_all = cache(Division(all_features, ~np.zeros_like(is_other)).shrunken_test)
     # Where those in use are too few for a test, the core of all features is.
     test = Division(all_features, used).shrunken_test()
-    core = _core(all_features, test_of_all) if test is None else (used, test)
+    core = _agreeing_core(all_features, test_of_all) if test is None else (used, test)
     if core is None:
         return None
-    used, test = _judged_by_field(all_features, *_readmitted(all_features, *core, test_of_all))
+    used, test = _judge_by_field(all_features,
+                                 *_readmit_predicted(all_features, *core, test_of_all))
     blunders = is_other & ~used
     decided = test.decided()
     return test.suspects(blunders & decided, np.zeros_like(is_other), blunders & ~decided, is_other)
 
 
-def _core(control: FitData, test_of_all: TestOfAll,
-          test_of: TestOf = Division.shrunken_test) -> tuple[BoolArray, Test] | None:
+def _agreeing_core(control: FitData, test_of_all: TestOfAll,
+                   test_of: TestOf = Division.shrunken_test) -> tuple[BoolArray, Test] | None:
     """Return the features that remain where those that fit worst are set aside, and their test.
 
     None where they are too few for a test.
@@ -351,7 +353,7 @@ def _core(control: FitData, test_of_all: TestOfAll,
     """
     used = np.ones(len(control), dtype=bool)
     if len(control.features.lines):
-        used = _with_weight(control, test_of_all)
+        used = _features_with_weight(control, test_of_all)
         test = Division(control, used).shrunken_test() or test_of_all()
         return None if test is None else (used, test)
     test = test_of_all()
@@ -374,7 +376,7 @@ def _core(control: FitData, test_of_all: TestOfAll,
     return used, test
 
 
-def _with_weight(control: FitData, test_of_all: TestOfAll) -> BoolArray:
+def _features_with_weight(control: FitData, test_of_all: TestOfAll) -> BoolArray:
     """Return the features that have weight under a robust quadratic polynomial."""
     # A robust fit that throws out more than blunders may be has failed.
     weightless = _weightless(control)
@@ -402,8 +404,8 @@ def _weightless(control: FitData) -> BoolArray | None:
     return weightless
 
 
-def _readmitted(control: FitData, used: BoolArray, test: Test, test_of_all: TestOfAll,
-                test_of: TestOf = Division.shrunken_test) -> tuple[BoolArray, Test]:
+def _readmit_predicted(control: FitData, used: BoolArray, test: Test, test_of_all: TestOfAll,
+                       test_of: TestOf = Division.shrunken_test) -> tuple[BoolArray, Test]:
     """Admit features again that those in use predict; leave out those they no longer do."""
     n = len(control)
     earlier_sets = set[bytes]()
@@ -437,8 +439,8 @@ def _readmitted(control: FitData, used: BoolArray, test: Test, test_of_all: Test
     return used, test
 
 
-def _judged_by_field(control: FitData, used: BoolArray, test: Test,
-                     max_share: float = MAX_BLUNDER_SHARE) -> tuple[BoolArray, Test]:
+def _judge_by_field(control: FitData, used: BoolArray, test: Test,
+                    max_share: float = MAX_BLUNDER_SHARE) -> tuple[BoolArray, Test]:
     """Judge again by a random field, where the points in use support one.
 
     Local deformation is no blunder, and what is small next to the error of a polynomial may be

@@ -149,7 +149,7 @@ class Division:
         rows = np.stack([*np.abs(errors.T), chance_of(statistic, freedom), np.sqrt(statistic),
                          np.sqrt((1 + variance / noise).max(axis=1))], axis=1)
         # A point in use is predicted by the others: its own measurement would hide its error.
-        rows[used] = _figures(process.held_out)
+        rows[used] = _point_figures(process.held_out)
         rows[used, :2] /= weights_of(self.in_use.features.points)
         pixels = rows[:, :2] * scaling.image_scale
         return Test(np.abs(pixels).max(axis=1), rows[:, 2], rows[:, 3], rows[:, 4],
@@ -162,8 +162,8 @@ class Division:
         None where they are too few.
         """
         if len(self.all_features.features.lines):
-            return _better(*(_test_of_lines(self, degree) for degree in (2, 3)))
-        prediction = _better(*(_prediction_of_points(self, degree) for degree in (2, 3)))
+            return _clearly_better_of(*(_test_of_lines(self, degree) for degree in (2, 3)))
+        prediction = _clearly_better_of(*(_prediction_of_points(self, degree) for degree in (2, 3)))
         return prediction.test() if prediction else None
 
     def test_by_projection(self, projection: Method) -> Test | None:
@@ -227,7 +227,7 @@ class Division:
 _Squares = TypeVar("_Squares", Test, "_PointPrediction")
 
 
-def _better(quadratic: _Squares | None, cubic: _Squares | None) -> _Squares | None:
+def _clearly_better_of(quadratic: _Squares | None, cubic: _Squares | None) -> _Squares | None:
     """Return the cubic if its squared errors are clearly smaller, else the quadratic."""
     if quadratic is None or cubic is None:
         return cubic or quadratic
@@ -268,7 +268,8 @@ class _PointPrediction:
         # In the order of the features, not in that of the posterior, which has those in use first.
         rows = np.empty((len(self.order), 5))
         rows[self.order] = np.concatenate(
-            [_figures(posterior.held_out), _figures(posterior.predict_unused(UNUSED_WEIGHT))])
+            [_point_figures(posterior.held_out),
+             _point_figures(posterior.predict_unused(UNUSED_WEIGHT))])
         pixels = rows[:, :2] / self.weights * self.image_scale
         noise = float(np.sqrt(posterior.cells.share @ posterior.square / posterior.freedom))
         return Test(np.abs(pixels).max(axis=1), rows[:, 2], rows[:, 3], rows[:, 4],
@@ -321,7 +322,7 @@ def _test_of_lines(division: Division, degree: int) -> Test | None:
                 squares[used])
 
 
-def _figures(predictions: HeldOutPredictions) -> FloatArray:
+def _point_figures(predictions: HeldOutPredictions) -> FloatArray:
     """Return errors of points in line and sample, chance, strain and spread, shape (m, 5)."""
     return np.stack([*predictions.errors.T, predictions.probability, np.sqrt(predictions.statistic),
                      np.sqrt(predictions.spread.max(axis=1))], axis=1)

@@ -115,9 +115,9 @@ class FunctionMethod(Method):
 
     def fit(self, data: FitData) -> Fit:
         """Call the function with the features, and again without each, or without parts of many."""
-        fitted = self._called(data)
+        fitted = self._call_function(data)
         try:
-            held_out = held_out_by_refits(self._called, data.features, heights=data.heights)
+            held_out = held_out_by_refits(self._call_function, data.features, heights=data.heights)
         except Undetermined:
             return fitted
         # As much as errors grow where their features take no part, so many parameters there are:
@@ -130,9 +130,9 @@ class FunctionMethod(Method):
     def held_out(self, fitted: Fit) -> HeldOut:
         """Return the errors of features where the function is called again without them."""
         return fitted.stored_held_out or held_out_by_refits(
-            self._called, fitted.control, heights=fitted.model.uses_height)
+            self._call_function, fitted.control, heights=fitted.model.uses_height)
 
-    def _called(self, data: FitData) -> Fit:
+    def _call_function(self, data: FitData) -> Fit:
         """Return what the function makes of features, with an affine polynomial next to it."""
         features = data.features
         with blamed(self.function, "fit"):

@@ -121,19 +121,21 @@ def majority(control: FitData) -> BoolArray | None:
     for columns, closest in zip(designs, halves, strict=True):
         half = np.zeros(n, dtype=bool)
         half[sampled] = closest[0]
-        agreeing = _outvoting(columns, scaled, half)
+        agreeing = _majority_over_blunders(columns, scaled, half)
         if agreeing is not None:
             return agreeing
-    if n < MIN_CUBIC_POINTS or not _contradict(designs[-1], scaled.image, halves[-1][0], sampled):
+    if n < MIN_CUBIC_POINTS or not _halves_contradict(designs[-1], scaled.image, halves[-1][0],
+                                                      sampled):
         return None
     return _regularised_majority(control, sampled,
                                  [half for of_design in halves for half in of_design[:STARTS]])
 
 
-def _outvoting(design: FloatArray, scaled: Points, half: BoolArray) -> BoolArray | None:
+def _majority_over_blunders(design: FloatArray, scaled: Points,
+                            half: BoolArray) -> BoolArray | None:
     """Return which points (n,) agree with a half, if more than a third are gross blunders."""
     n = len(half)
-    agreeing, strains = _agreeing(design, scaled.image, half)
+    agreeing, strains = _points_agreeing_with(design, scaled.image, half)
     minority = ~agreeing
     if minority.mean() <= MAX_BLUNDER_SHARE or agreeing.sum() < n // 2 - 1:
         return None
@@ -143,12 +145,12 @@ def _outvoting(design: FloatArray, scaled: Points, half: BoolArray) -> BoolArray
     return None if _may_be_bend(scaled.ground, agreeing, errors) else agreeing
 
 
-def _contradict(design: FloatArray, image: FloatArray, closest: BoolArray,
-                sampled: IntArray) -> bool:
+def _halves_contradict(design: FloatArray, image: FloatArray, closest: BoolArray,
+                       sampled: IntArray) -> bool:
     """Return whether the closest half of sampled points leaves far less noise than all of them."""
     columns = design[sampled]
-    noise_of_half, _ = _strains(columns, image[sampled], closest)
-    noise_of_all, _ = _strains(columns, image[sampled], np.ones(len(sampled), dtype=bool))
+    noise_of_half, _ = _noise_and_strains(columns, image[sampled], closest)
+    noise_of_all, _ = _noise_and_strains(columns, image[sampled], np.ones(len(sampled), dtype=bool))
     return noise_of_all > NOISE_OF_CONTRADICTION * noise_of_half
 
 
@@ -237,17 +239,18 @@ def _closest_halves(designs: Sequence[FloatArray], image: FloatArray, is_affine:
     if not is_affine.all():
         samples_of.append(first)
     for columns in samples_of:
-        for closest in _starts(columns, image, rng):
+        for closest in _best_random_halves(columns, image, rng):
             half = np.zeros(n, dtype=bool)
             half[closest] = True
             for number, design in enumerate(designs):
-                squares, half = _concentrated(design, image, half)
+                squares, half = _concentrate_half(design, image, half)
                 halves[number].setdefault(half.tobytes(), (squares, half))
     return [[half for _, half in sorted(of_design.values(), key=lambda found: found[0])]
             for of_design in halves]
 
 
-def _starts(design: FloatArray, image: FloatArray, rng: np.random.Generator) -> IntArray:
+def _best_random_halves(design: FloatArray, image: FloatArray,
+                        rng: np.random.Generator) -> IntArray:
     """Return the closest halves (CONCENTRATED, n // 2) of the best random samples."""
     n, k = design.shape
     # The k lowest of n random numbers are a sample without repetition.
@@ -263,8 +266,8 @@ def _starts(design: FloatArray, image: FloatArray, rng: np.random.Generator) -> 
     return np.argsort(squares[best], axis=1, kind="stable")[:, :n // 2]
 
 
-def _concentrated(design: FloatArray, image: FloatArray,
-                  half: BoolArray) -> tuple[float, BoolArray]:
+def _concentrate_half(design: FloatArray, image: FloatArray,
+                      half: BoolArray) -> tuple[float, BoolArray]:
     """Return the trimmed squares, and their half, that refitting leads to."""
     n = len(design)
     least = np.inf
@@ -280,8 +283,8 @@ def _concentrated(design: FloatArray, image: FloatArray,
     return least, half
 
 
-def _agreeing(design: FloatArray, image: FloatArray,
-              half: BoolArray) -> tuple[BoolArray, FloatArray]:
+def _points_agreeing_with(design: FloatArray, image: FloatArray,
+                          half: BoolArray) -> tuple[BoolArray, FloatArray]:
     """Return which points agree with a half, and the strain of each (n,) against these.
 
     The closest of the others are added bit by bit, as a blunder among many new ones would bend the
@@ -291,7 +294,7 @@ def _agreeing(design: FloatArray, image: FloatArray,
     n = len(half)
     agreeing = half
     at_once = max(1, n // ADDED_PART)
-    first_noise, strains = _strains(design, image, half)
+    first_noise, strains = _noise_and_strains(design, image, half)
     while not agreeing.all():
         order = np.argsort(np.where(agreeing, np.inf, strains), kind="stable")[:at_once]
         closest = order[(strains[order] <= 1.0) & ~agreeing[order]]
@@ -299,7 +302,7 @@ def _agreeing(design: FloatArray, image: FloatArray,
             break
         extended = agreeing.copy()
         extended[closest] = True
-        noise, new_strains = _strains(design, image, extended)
+        noise, new_strains = _noise_and_strains(design, image, extended)
         if noise > NOISE_JUMP * first_noise:
             break
         agreeing = extended
@@ -308,7 +311,8 @@ def _agreeing(design: FloatArray, image: FloatArray,
     return agreeing & (strains <= 1.0), strains
 
 
-def _strains(design: FloatArray, image: FloatArray, used: BoolArray) -> tuple[float, FloatArray]:
+def _noise_and_strains(design: FloatArray, image: FloatArray, used: BoolArray) -> tuple[float,
+                                                                                        FloatArray]:
     """Return the noise of the closest points, and errors (n,) by what agreeing points have.
 
     Of normal vectors of the plane, the part g that is shortest has 1 + (1 - g) ln(1 - g) / g of the
@@ -350,19 +354,19 @@ def _may_be_bend(ground: FloatArray, agreeing: BoolArray, errors: FloatArray) ->
     shift = errors.mean(axis=0)
     deviation = np.sqrt(((errors - shift) ** 2).sum(axis=1).mean())
     is_one_error = deviation < MAX_DEVIATION * np.linalg.norm(shift)
-    return not (is_one_error and _interleaved(ground, agreeing))
+    return not (is_one_error and _are_interleaved(ground, agreeing))
 
 
-def _interleaved(ground: FloatArray, agreeing: BoolArray) -> bool:
+def _are_interleaved(ground: FloatArray, agreeing: BoolArray) -> bool:
     """Return whether most points that disagree have some that agree in three quadrants."""
-    others = _spread(ground[~agreeing, None, :2])
-    is_right, is_above = np.moveaxis(_spread(ground[agreeing, :2]) > others, 2, 0)
+    others = _rows_spread_over_table(ground[~agreeing, None, :2])
+    is_right, is_above = np.moveaxis(_rows_spread_over_table(ground[agreeing, :2]) > others, 2, 0)
     quadrants = np.stack([(is_right == right) & (is_above == above)
                           for right in (False, True) for above in (False, True)])
     return bool((quadrants.any(axis=2).sum(axis=0) >= 3).mean() > 0.5) if len(others) else False
 
 
-def _spread(rows: FloatArray) -> FloatArray:
+def _rows_spread_over_table(rows: FloatArray) -> FloatArray:
     """Return all of few rows, else as many as are looked at, spread over the order of the table."""
     return rows[np.linspace(0, len(rows) - 1, min(len(rows), MAX_SAMPLED_POINTS)).astype(np.intp)]
 
@@ -373,8 +377,8 @@ def _unlike_neighbours(ground: FloatArray, errors: FloatArray) -> bool:
     Of independent errors the squared difference is twice the square in the mean; gross ones must
     not decide alone, so that each error counts by its direction and the root of its size.
     """
-    ground = _spread(ground[:, :2])
-    errors = _spread(errors)
+    ground = _rows_spread_over_table(ground[:, :2])
+    errors = _rows_spread_over_table(errors)
     tempered = errors / np.sqrt(np.maximum(np.linalg.norm(errors, axis=1), 1e-12))[:, None]
     distances = np.linalg.norm(ground[:, None] - ground, axis=2)
     np.fill_diagonal(distances, np.inf)

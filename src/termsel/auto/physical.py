@@ -162,7 +162,7 @@ def prior_evidence(points: Points, scaling: Scaling, crs: str,
 def camera_average(points: Points, scaling: Scaling, crs: str,
                    exponents: Exponents) -> CameraAverage | None:
     """Return the average for scaled control points, as `prior_evidence` does the evidence."""
-    return _averaged(Measurements.of(points), scaling, crs, exponents)
+    return _cached_camera_average(Measurements.of(points), scaling, crs, exponents)
 
 
 @lru_cache(maxsize=2)
@@ -173,7 +173,8 @@ def _cached_evidence(measurements: Measurements, scaling: Scaling, crs: str,
     points = measurements.points
     variables = 3 if any(power[2] for power in exponents) else 2
     slopes = _slopes_on_ground(points, scaling, crs)
-    physical = None if slopes is None else _by_cameras(points, scaling, crs, exponents, slopes)
+    physical = None if slopes is None else _solutions_by_kind(points, scaling, crs, exponents,
+                                                              slopes)
     if slopes is None or physical is None:
         return None
     weights = None if points.sigma is None else weights_of(points)
@@ -197,8 +198,8 @@ def _cached_evidence(measurements: Measurements, scaling: Scaling, crs: str,
 
 
 @lru_cache(maxsize=2)
-def _averaged(measurements: Measurements, scaling: Scaling, crs: str,
-              exponents: Exponents) -> CameraAverage | None:
+def _cached_camera_average(measurements: Measurements, scaling: Scaling, crs: str,
+                           exponents: Exponents) -> CameraAverage | None:
     """Return the same; a fit, what describes it and its spread ask for one."""
     points = measurements.points
     evidence = _cached_evidence(measurements, scaling, crs, exponents)
@@ -251,8 +252,8 @@ def _slopes_on_ground(points: Points, scaling: Scaling, crs: str) -> FloatArray 
     return np.asarray(slopes[1:].T) if rank == plane.shape[1] else None
 
 
-def _by_cameras(points: Points, scaling: Scaling, crs: str, exponents: Exponents,
-                slopes: FloatArray) -> CameraSolutions | None:
+def _solutions_by_kind(points: Points, scaling: Scaling, crs: str, exponents: Exponents,
+                       slopes: FloatArray) -> CameraSolutions | None:
     """Return the solutions with priors of the kinds of cameras that may have made the image.
 
     Those that are not negligible; None where none of the kinds can be meant.

@@ -209,7 +209,8 @@ def best_of(fits: Iterable[Fit], describe: Describe = lambda _: None) -> Choice 
     descriptions = [description for fitted in dict.fromkeys((chosen, base))
                     if (description := describe(fitted))]
     return Choice(chosen, compared,
-                  _reason(chosen, base, [*descriptions, *reasons], alternatives, compared))
+                  _reason_for_choice(chosen, base, [*descriptions, *reasons], alternatives,
+                                     compared))
 
 
 def fit_to_beat(priors: Sequence[Fit]) -> tuple[Fit, list[str]]:
@@ -268,8 +269,8 @@ def _equally_sure_margin(base: Fit) -> float:
     return t_quantile(probability, freedom) if freedom > 1 else np.inf
 
 
-def _reason(chosen: Fit, base: Fit, reasons: Sequence[str], alternatives: Sequence[Fit],
-            compared: Iterable[Fit]) -> str:
+def _reason_for_choice(chosen: Fit, base: Fit, reasons: Sequence[str], alternatives: Sequence[Fit],
+                       compared: Iterable[Fit]) -> str:
     """Return why a method is chosen, after what is said of those with a prior."""
     sentences = list(reasons)
     if alternatives:

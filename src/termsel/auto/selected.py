@@ -84,12 +84,12 @@ def select_forward(columns: FloatArray, target: FloatArray,
     if (columns == columns[0]).all():
         rows = np.concatenate([columns[0], target.T], axis=1)
         augmented = [rows] * axes
-        factors = [_without_each(rows, fold)] * axes
+        factors = [_factors_without_folds(rows, fold)] * axes
         target_columns = range(k, k + axes)
     else:
         augmented = [np.concatenate([rows_of_axis, axis_target[:, None]], axis=1)
                      for rows_of_axis, axis_target in zip(columns, target, strict=True)]
-        factors = [_without_each(rows, fold) for rows in augmented]
+        factors = [_factors_without_folds(rows, fold) for rows in augmented]
         target_columns = range(k, k + 1)
     system_columns = [
         np.append(np.arange(k), target_columns[axis % len(target_columns)]) for axis in range(axes)
@@ -99,20 +99,20 @@ def select_forward(columns: FloatArray, target: FloatArray,
         for rows_of_axis, columns_of_axis in zip(factors, system_columns, strict=True)
     ])
     equations = np.tile(np.append(n - np.bincount(fold), n).astype(np.float64), axes)
-    selected = _chosen(systems, equations, int(forced.sum()), max_selected)
+    selected = _selected_terms(systems, equations, int(forced.sum()), max_selected)
     if selected is None:
         return None
     best = selected.reshape(axes, folds + 1, k)
     systems_of_axes = np.split(systems, axes)
     return [
         AxisTerms(chosen[folds][np.argsort(order)],
-                  _errors(rows[:, columns_of_axis], fold, system, chosen[:folds]))
+                  _errors_of_folds(rows[:, columns_of_axis], fold, system, chosen[:folds]))
         for rows, columns_of_axis, system, chosen in zip(
             augmented, system_columns, systems_of_axes, best, strict=True)
     ]
 
 
-def _without_each(rows: FloatArray, fold: IntArray) -> FloatArray:
+def _factors_without_folds(rows: FloatArray, fold: IntArray) -> FloatArray:
     """Return the triangular factors of all rows but those of each fold, and at the end of all.
 
     Of many rows, folds are taken in groups, each of which is factored once.
@@ -142,8 +142,8 @@ def _triangle(rows: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.qr(rows, mode="r"))
 
 
-def _chosen(systems: FloatArray, equations: FloatArray, forced: int,
-            max_selected: int) -> BoolArray | None:
+def _selected_terms(systems: FloatArray, equations: FloatArray, forced: int,
+                    max_selected: int) -> BoolArray | None:
     """Return the terms that each of s systems selects, (s, k); None if forced ones are dependent.
 
     The systems (s, r, k + 1) are triangular factors of columns and target, of so many equations
@@ -187,7 +187,8 @@ def _chosen(systems: FloatArray, equations: FloatArray, forced: int,
     return np.concatenate([np.ones((count, forced), dtype=bool), best], axis=1)
 
 
-def _errors(rows: FloatArray, fold: IntArray, systems: FloatArray, best: BoolArray) -> FloatArray:
+def _errors_of_folds(rows: FloatArray, fold: IntArray, systems: FloatArray,
+                     best: BoolArray) -> FloatArray:
     """Return the errors of rows, shape (n, k + 1), by what was selected without their fold."""
     errors = np.empty(len(rows))
     # Most folds select the same terms, and are solved together.

@@ -111,7 +111,7 @@ def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: 
     if status is not None:
         _show_status(status)
         return
-    study, keys = _asked(files, options)
+    study, keys = _study_asked_for(files, options)
     # The name first: what the file holds is read later, when its cells are made.
     if study is not None and not study.exists():
         raise no_such_file(study)
@@ -145,7 +145,8 @@ def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: 
         sys.exit(EXIT_FAILED)
 
 
-def _asked(files: tuple[Path, ...], options: dict[str, Any]) -> tuple[Path | None, dict[str, Any]]:
+def _study_asked_for(files: tuple[Path, ...], options: dict[str, Any]) -> tuple[Path | None,
+                                                                                dict[str, Any]]:
     """Return the study file, or what the options say, as the keys of one."""
     keys = _keys_of(options)
     points = options["points"]

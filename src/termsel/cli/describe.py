@@ -133,12 +133,12 @@ def _describe_problem(entry: Entry) -> None:
         "ends after": ", or ".join(rule.format(n) for rule, n in rules.items() if n) or
                       "the budget of every search",
         "control": recipe.control, "source": recipe.source})
-    _options([*recipe.options, *_undeclared(recipe)])
+    _options([*recipe.options, *_options_of_prepared_problem(recipe)])
     echo("\nOptions of the data: termsel describe data. Model, solver and criterion have their own "
          "options, too: termsel describe NAME.")
 
 
-def _undeclared(recipe: Recipe) -> list[Option]:
+def _options_of_prepared_problem(recipe: Recipe) -> list[Option]:
     """Return the options that the problem of a recipe has by what it is, as its data tell."""
     from termsel.runs.task import prepare
     from termsel.selection.problems.recipes import options_of, undeclared_options
@@ -291,10 +291,10 @@ def _options(options: Iterable[Option]) -> None:
 def _option_table(options: Iterable[Option]) -> None:
     print_table(("key", "default", "accepts", "meaning"), [
         (option.name, "not set" if option.default in (None, "") else _text(option.default),
-         _accepted(option), option.doc) for option in options])
+         _accepted_values(option), option.doc) for option in options])
 
 
-def _accepted(option: Option) -> str:
+def _accepted_values(option: Option) -> str:
     """Return what an option accepts, and what of it no study, block or result may give."""
     return f"{option.accepts} ({option.limits_files})" if option.limits_files else option.accepts
 

@@ -158,7 +158,7 @@ class Commands(click.Group):
                 raise _too_large(error) from error
         except TermselError as error:
             echo(f"Error: {error}", err=True)
-            for line in _suggested(sys.argv[1:] if args is None else args, error):
+            for line in _suggested_commands(sys.argv[1:] if args is None else args, error):
                 echo(line, err=True)
             sys.exit(CORRECTABLE)
         except click.ClickException as error:
@@ -186,7 +186,7 @@ def _too_large(error: MemoryError) -> TermselError:
     return out_of_memory(error)
 
 
-def _suggested(words: Sequence[str], error: TermselError) -> Iterator[str]:
+def _suggested_commands(words: Sequence[str], error: TermselError) -> Iterator[str]:
     """Yield the commands that an error suggests; only what is certain is ready to run."""
     # Where one of several readings of a table is right, each has its command.
     guesses = error.guesses or [error.options.get("--columns", "")]
@@ -194,7 +194,8 @@ def _suggested(words: Sequence[str], error: TermselError) -> Iterator[str]:
         options = {**error.options, "--columns": columns} if columns else error.options
         # --set may stand several times, each with an option of its own.
         replaced = {name: value for name, value in options.items() if name != "--set"}
-        typed = shlex.join([*_without(words, replaced), *chain.from_iterable(options.items())])
+        typed = shlex.join([*_words_without_options(words, replaced),
+                            *chain.from_iterable(options.items())])
         if not options or not is_printable(typed):  # what is shown otherwise cannot be pasted
             continue
         # A question mark is for the user to fill in: such a command cannot run as it is.
@@ -205,7 +206,7 @@ def _suggested(words: Sequence[str], error: TermselError) -> Iterator[str]:
         yield f"{verb}: termsel {typed}"
 
 
-def _without(words: Sequence[str], options: Mapping[str, str]) -> Iterator[str]:
+def _words_without_options(words: Sequence[str], options: Mapping[str, str]) -> Iterator[str]:
     """Yield words without some options and their values."""
     # Options stand as "--crs X" or "--crs=X".
     remaining = iter(words)

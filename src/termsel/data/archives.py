@@ -40,9 +40,9 @@ def raster_in(path: Path) -> Path:
     """
     # These of os.path take a name that the system refuses for one that is not there.
     if os.path.isdir(path):
-        return _only(path, _in_folder(path))
+        return _only(path, _tiffs_in_folder(path))
     if os.path.isfile(path):
-        return path if not zipfile.is_zipfile(path) else _only(path, _in_zip(path))
+        return path if not zipfile.is_zipfile(path) else _only(path, _tiffs_in_zip(path))
     archive = next((parent for parent in path.parents if os.path.isfile(parent)), None)
     if archive is None or not zipfile.is_zipfile(archive):
         return path
@@ -65,14 +65,14 @@ def _name_for_gdal(path: Path, archive: Path) -> Path:
     return Path("/vsizip", *archive.absolute().parts[1:], *path.relative_to(archive).parts)
 
 
-def _in_folder(folder: Path) -> list[Path]:
+def _tiffs_in_folder(folder: Path) -> list[Path]:
     """Return the TIFFs of a folder, or of the folder ``measurement`` of a product."""
     inner = folder / "measurement"
     place = inner if inner.is_dir() else folder
     return sorted(entry for entry in place.iterdir() if entry.suffix.lower() in SUFFIXES)
 
 
-def _in_zip(archive: Path) -> list[Path]:
+def _tiffs_in_zip(archive: Path) -> list[Path]:
     """Return the TIFFs of a zip, as if it were a folder."""
     try:
         with zipfile.ZipFile(archive) as packed:

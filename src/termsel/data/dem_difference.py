@@ -73,10 +73,10 @@ class DemDifference:
 
     def sentence(self, pixels: float | None = None) -> str:
         """Return it as one sentence, with what it does to a map [px], where that is known."""
-        effect = "" if pixels is None else f": {_rounded(pixels)} px on a map" \
+        effect = "" if pixels is None else f": {_rounded_in_words(pixels)} px on a map" \
             if pixels >= _VISIBLE else ", of which this model makes no use"
         evidence = (f"median of {counted(self.count, 'height')}, standard deviation "
-                    f"{_rounded(self.sigma)} m")
+                    f"{_rounded_in_words(self.sigma)} m")
         return off_as_a_whole(self.above, "the control", evidence, effect, self.dem,
                               "feet and metres?" if self.in_feet else GEOID)
 
@@ -86,7 +86,7 @@ def off_as_a_whole(above: float, reference: str, evidence: str, effect: str = ""
     """Return in a sentence that a DEM is so much above something [m], and what may be the cause."""
     direction = "above" if above > 0 else "below"
     name = f" {dem}" if dem else ""
-    return (f"The DEM{name} is {_rounded(abs(above))} m {direction} {reference} "
+    return (f"The DEM{name} is {_rounded_in_words(abs(above))} m {direction} {reference} "
             f"({evidence}){effect}; {cause}")
 
 
@@ -109,10 +109,10 @@ def dem_difference(control: FloatArray, dem: FloatArray, name: str = "") -> DemD
     scatter = _MAD * float(np.median(np.abs(over - median)))
     variance = (n * scatter**2 + AS_MANY * USUAL**2) / (n + AS_MANY)
     sigma = float(np.sqrt(_EFFICIENCY**2 * variance / n + ROUGHLY**2))
-    return DemDifference(median, sigma, n, _in_feet(control, dem, scatter), name)
+    return DemDifference(median, sigma, n, _is_in_feet(control, dem, scatter), name)
 
 
-def _in_feet(control: FloatArray, dem: FloatArray, scatter: float) -> bool:
+def _is_in_feet(control: FloatArray, dem: FloatArray, scatter: float) -> bool:
     """Return whether heights agree better where one side is in feet than by any shift in metres."""
     foot = UNITS[FOOT]
     # What is left in feet must be a third of what is left in metres at most, and within what
@@ -126,5 +126,5 @@ def _away(control: FloatArray, dem: FloatArray) -> float:
     return float(np.median(np.abs(dem - control)))
 
 
-def _rounded(size: float) -> str:
+def _rounded_in_words(size: float) -> str:
     return f"{size:.3g}" if size < 999.5 else f"{size:,.0f}"

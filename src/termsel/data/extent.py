@@ -41,13 +41,13 @@ def image_extent(features: FeatureSet, options: Container[str], known: KnownImag
         return (0.0, 0.0), (lines - 1.0, samples - 1.0)
     image = features.image_vertices()
     if (rpc := features.rpc) is not None and "rpc" in options:
-        image = np.concatenate([_of_rpc(rpc), image])
+        image = np.concatenate([_image_box_of_rpc(rpc), image])
     (top, left) = image.min(axis=0).tolist()
     (bottom, right) = image.max(axis=0).tolist()
     return (top, left), (bottom, right)
 
 
-def _of_rpc(rpc: Rpc) -> FloatArray:
+def _image_box_of_rpc(rpc: Rpc) -> FloatArray:
     """Return first and last line and sample of an RPC, shape (2, 2): no image begins below 0.
 
     RPCs are in the middle of their images, and scaled by no less than half of these; so the margin

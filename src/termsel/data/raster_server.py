@@ -40,11 +40,11 @@ def serve(drivers: tuple[str, ...], remote: bool) -> None:
                 question = pickle.load(sys.stdin.buffer)
             except EOFError:
                 return
-            answers.write(_pickled(_answered(question)))
+            answers.write(_pickle_answer(_answer(question)))
             answers.flush()
 
 
-def _pickled(answer: tuple[Any, BaseException | None]) -> bytes:
+def _pickle_answer(answer: tuple[Any, BaseException | None]) -> bytes:
     try:
         return pickle.dumps(answer, protocol=pickle.HIGHEST_PROTOCOL)
     except (pickle.PicklingError, TypeError, AttributeError) as error:
@@ -52,7 +52,7 @@ def _pickled(answer: tuple[Any, BaseException | None]) -> bytes:
                              None))
 
 
-def _answered(asked: bytes) -> tuple[Any, BaseException | None]:
+def _answer(asked: bytes) -> tuple[Any, BaseException | None]:
     """Return the answer to a question, or the error and its cause, which pickle would leave out."""
     from rasterio import Env
 

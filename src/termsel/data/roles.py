@@ -175,17 +175,17 @@ class Split:
 def stratified(_ids: tuple[str, ...], ground: FloatArray, shares: FloatArray,
                rng: np.random.Generator) -> list[str]:
     """Give neighbouring points different roles, so that each role covers the scene."""
-    return _in_turn(spatial_order(ground[:, :2]), shares, rng)
+    return _roles_in_turn(spatial_order(ground[:, :2]), shares, rng)
 
 
 def at_random(ids: tuple[str, ...], _ground: FloatArray, shares: FloatArray,
               rng: np.random.Generator) -> list[str]:
     """Draw roles without regard to place."""
-    return _in_turn(rng.permutation(len(ids)), shares, rng)
+    return _roles_in_turn(rng.permutation(len(ids)), shares, rng)
 
 
-def _in_turn(order: Sequence[int] | np.ndarray, shares: FloatArray,
-             rng: np.random.Generator) -> list[str]:
+def _roles_in_turn(order: Sequence[int] | np.ndarray, shares: FloatArray,
+                   rng: np.random.Generator) -> list[str]:
     """Return a role for each place of an order, so that every stretch of it has all shares."""
     # Each place in the order goes to the role that lags most behind its share; among roles
     # that lag alike the draw decides, so that different seeds give different splits.
@@ -374,7 +374,7 @@ def observe(
     and independent among the points that are assigned; with control from lines alone, all become
     check and independent points. Raises TermselError if the control that is required is not there.
     """
-    features, labels = _ordered(features)
+    features, labels = _order_and_labels(features)
     points = features.points
     if control == "points" and not len(points):
         raise TermselError("the problem needs control points and there are none",
@@ -409,7 +409,7 @@ def observe(
 
 
 @lru_cache(maxsize=2)
-def _ordered(features: FeatureSet) -> tuple[FeatureSet, IntArray]:
+def _order_and_labels(features: FeatureSet) -> tuple[FeatureSet, IntArray]:
     """Return features in order, without jumps, and labels of those that share a role.
 
     Cells of a study share theirs.
@@ -430,10 +430,10 @@ def in_order(features: FeatureSet) -> FeatureSet:
 
 def _order(names: Sequence[str]) -> list[int]:
     """Return the rows of names in their order; the pieces of one line keep theirs."""
-    return sorted(range(len(names)), key=lambda row: _by_name(names[row]))
+    return sorted(range(len(names)), key=lambda row: _natural_sort_key(names[row]))
 
 
-def _by_name(name: str) -> tuple[list[tuple[int, str]], str]:
+def _natural_sort_key(name: str) -> tuple[list[tuple[int, str]], str]:
     """Return what sorts numbers in a name by their value; names that differ sort apart."""
     # Of two numbers without leading zeros the longer one is larger, however long they are.
     pieces = [piece.lstrip("0") if i % 2 else piece for i, piece in enumerate(_NUMBER.split(name))]

@@ -35,13 +35,13 @@ class Measurements:
     @property
     def points(self) -> Points:
         """The points, numbered and without roles; they were checked when they were made first."""
-        image = _rows(self.image, 2)
+        image = _measured_rows(self.image, 2)
         return unchecked(no_points(), ids=tuple(map(str, range(len(image)))), image=image,
-                         ground=_rows(self.ground, 3), roles=("",) * len(image),
-                         sigma=None if self.sigma is None else _rows(self.sigma, 2))
+                         ground=_measured_rows(self.ground, 3), roles=("",) * len(image),
+                         sigma=None if self.sigma is None else _measured_rows(self.sigma, 2))
 
 
-def _rows(numbers: bytes, columns: int) -> FloatArray:
+def _measured_rows(numbers: bytes, columns: int) -> FloatArray:
     return np.frombuffer(numbers).reshape(-1, columns)
 
 
@@ -164,7 +164,7 @@ def _view_of(measurements: Measurements) -> CentralView | None:
         columns = _columns(points.ground, size)
         affine_sigma = _affine(columns, points.image)
         if affine_sigma is not None:
-            view = _fitted(columns, points, affine_sigma)
+            view = _fitted_projection(columns, points, affine_sigma)
             if view is not None:
                 views.append(view)
     return min(views, key=lambda view: view.sigma, default=None)
@@ -184,7 +184,8 @@ def _affine(columns: FloatArray, image: FloatArray) -> float | None:
     return float(np.sqrt((residuals**2).sum() / freedom))
 
 
-def _fitted(columns: FloatArray, points: Points, affine_sigma: float) -> CentralView | None:
+def _fitted_projection(columns: FloatArray, points: Points,
+                       affine_sigma: float) -> CentralView | None:
     """Return the projection of least distances, if it is clearly better than an affine one.
 
     None if not determined, or with points behind, too.

@@ -357,13 +357,13 @@ def accuracy_of(fitted: Fit, independent: Points) -> Accuracy | None:
     errors = fitted.errors(independent)
     if not np.isfinite(errors).all():
         return None
-    metres = _on_ground(fitted, independent)
+    metres = _ground_errors(fitted, independent)
     ground = None if metres is None else distances(OnGround, metres)
     return Accuracy(distances(InImage, errors), ground, nssda(len(independent), ground),
                     asprs(len(independent), ground))
 
 
-def _on_ground(fitted: Fit, points: Points) -> FloatArray | None:
+def _ground_errors(fitted: Fit, points: Points) -> FloatArray | None:
     """Return computed minus given ground positions [m]; None where they are not all known."""
     heights = np.nan_to_num(points.ground[:, 2]) if not fitted.model.uses_height \
         else points.ground[:, 2]

@@ -65,12 +65,12 @@ class Baseline:
 def rmse_record(rmse: Rmses) -> RmseByRole:
     """Return RMSE by role, with that by leave-one-out if there is one, as result.json holds them.
     """
-    control, check, independent = (_of_role(rmse.get(role)) for role in ROLES)
+    control, check, independent = (_rmse_of_role(rmse.get(role)) for role in ROLES)
     return RmseByRole(control, check, independent,
-                      _of_role(rmse[LEAVE_ONE_OUT]) if LEAVE_ONE_OUT in rmse else None)
+                      _rmse_of_role(rmse[LEAVE_ONE_OUT]) if LEAVE_ONE_OUT in rmse else None)
 
 
-def _of_role(rmse: Rmse | None) -> RoleRmse:
+def _rmse_of_role(rmse: Rmse | None) -> RoleRmse:
     if rmse is None:
         return RoleRmse(None, None, None, 0)
     return RoleRmse(finite_or_none(rmse.line), finite_or_none(rmse.sample),

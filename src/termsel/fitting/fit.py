@@ -319,7 +319,7 @@ class Fit(Glance):
     @property
     def coefficients(self) -> dict[str, float]:
         """Coefficients of the terms in use by name, in scaled coordinates."""
-        return self._by_term(self.adjustment.coefficients)
+        return self._values_by_term(self.adjustment.coefficients)
 
     @property
     def standard_deviations(self) -> dict[str, float]:
@@ -327,9 +327,9 @@ class Fit(Glance):
 
         NaN without redundancy and for coefficients that are not those of least squares.
         """
-        return self._by_term(self.adjustment.deviations)
+        return self._values_by_term(self.adjustment.deviations)
 
-    def _by_term(self, values: FloatArray) -> dict[str, float]:
+    def _values_by_term(self, values: FloatArray) -> dict[str, float]:
         return {str(self.model.terms[i]): float(values[i]) for i in np.flatnonzero(self.terms)}
 
     def with_coefficients(self, coefficients: FloatArray, estimator: Estimator = FIXED_COEFFICIENTS,
@@ -362,12 +362,12 @@ class Fit(Glance):
             If the array has another shape.
         """
         points = self._ground_points(ground)
-        image = self._computed(points)
+        image = self._compute_positions(points)
         # Behind the camera the formula gives a place as well, mirrored.
         image[self.unseen(points)] = np.nan
         return image
 
-    def _computed(self, ground: FloatArray) -> FloatArray:
+    def _compute_positions(self, ground: FloatArray) -> FloatArray:
         """Return what the model gives for places (n, 3), be they behind the camera or not [px]."""
         # In scaled coordinates throughout; pixels are made of the result alone.
         scaled = self.model.predict(self.adjustment.coefficients, self._scaled_used,
@@ -490,7 +490,7 @@ class Fit(Glance):
             spread = self.estimator.spread(self, scaled_ground)
             # Variances add: of the coefficients, and of what the model does not fit.
             return spread.variance + self.missed_at(ground), spread.noise
-        image = self.scaling.image(self._computed(ground))
+        image = self.scaling.image(self._compute_positions(ground))
         squares = np.empty(image.shape)
         for batch in np.array_split(np.arange(len(ground)), len(ground) // MISFIT_BATCH + 1):
             squares[batch] = courses.squares(scaled_ground[batch], image[batch])
@@ -512,7 +512,7 @@ class Fit(Glance):
         """Return the mean square of what the model does not fit at places (m, 3), scaled (m, 2)."""
         if self.misfit is None:
             return np.zeros((len(ground), 2))
-        image = self.scaling.image(self._computed(ground))
+        image = self.scaling.image(self._compute_positions(ground))
         finite = np.isfinite(image).all(axis=1)
         squares = np.full(image.shape, np.nan)
         # In batches, as covariances between all places would fill the memory.
@@ -531,7 +531,7 @@ class Fit(Glance):
         if len(control.lines) or self.adjustment.redundancy <= 0:
             return None
         points = control.points
-        image = self.scaling.image(self._computed(
+        image = self.scaling.image(self._compute_positions(
             self.control.take(self.used).points.ground))
         noise = NoisePrior.of(1.0 / self.scaling.image_scale, points.sigma,
                               with_heights=self.model.uses_height)
@@ -596,7 +596,7 @@ class Fit(Glance):
 
     def errors(self, points: Points) -> FloatArray:
         """Return measured minus computed line and sample [px], shape (n, 2)."""
-        return points.image - self._computed(points.ground)
+        return points.image - self._compute_positions(points.ground)
 
     def line_errors(self, lines: Lines | None = None) -> FloatArray:
         """Return the vectors from projected ground vertices of lines to their image lines.
@@ -607,7 +607,7 @@ class Fit(Glance):
         lines = self.control.lines if lines is None else lines
         # The line n . x = rho: its distance from a vertex along the unit normal n.
         normal, rho = line_normals(lines)
-        image = self._computed(lines.ground.reshape(-1, 3)).reshape(-1, 2, 2)
+        image = self._compute_positions(lines.ground.reshape(-1, 3)).reshape(-1, 2, 2)
         distance = rho[:, None] - np.einsum("ia,iva->iv", normal, image)
         return np.asarray(distance[..., None] * normal[:, None, :])
 

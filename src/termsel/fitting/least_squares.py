@@ -147,7 +147,7 @@ def adjust(model: SensorModel, features: FeatureSet, terms: BoolArray,
         # Halved until the sum of squares falls; where that never happens the search ends.
         for share in HALVINGS:
             candidate = x + share * (solution - x)
-            candidate_equations = _linearised(model, features, candidate)
+            candidate_equations = _linearised_equations(model, features, candidate)
             candidate_residuals = residuals_of(candidate_equations, candidate)
             if (candidate_residuals @ candidate_residuals
                     < (1 - 1e-10) * (residuals @ residuals)):
@@ -177,7 +177,7 @@ def _first_solution(model: SensorModel, features: FeatureSet, terms: BoolArray,
     start = model.start(features.take(used))
     if start is not None:
         x = np.where(terms, start, 0.0)
-        equations = _linearised(model, features, x)
+        equations = _linearised_equations(model, features, x)
         adjustment = replace(solve(equations, terms, used), coefficients=x)
         return adjustment, x, equations if adjustment.feasible else None
     adjustment = solve(model.equations(features), terms, used)
@@ -188,7 +188,8 @@ def _first_solution(model: SensorModel, features: FeatureSet, terms: BoolArray,
     return adjustment, x, model.linearised(features, x) if adjustment.feasible else None
 
 
-def _linearised(model: SensorModel, features: FeatureSet, coefficients: FloatArray) -> Equations:
+def _linearised_equations(model: SensorModel, features: FeatureSet,
+                          coefficients: FloatArray) -> Equations:
     """Return the equations about a solution, of a model that has them."""
     equations = model.linearised(features, coefficients)
     if equations is None:
@@ -204,7 +205,7 @@ def first_order(model: SensorModel, features: FeatureSet) -> Equations:
     everything = (np.ones(n, dtype=bool) for n in (len(model.terms), len(features)))
     if model.start(features) is None:
         return model.equations(features)
-    return _linearised(model, features, adjust(model, features, *everything).coefficients)
+    return _linearised_equations(model, features, adjust(model, features, *everything).coefficients)
 
 
 def solutions_without_each(systems: tuple[IndependentPart, ...], terms: BoolArray,

@@ -141,7 +141,7 @@ class LocalCourses:
         if len(positions) <= MISFIT_MAX_POINTS:
             return np.asarray(positions.mean(axis=0, keepdims=True))
         return np.array([positions[rows].mean(axis=0)
-                         for rows in _halved(positions, np.arange(len(positions)))])
+                         for rows in _halve_rows(positions, np.arange(len(positions)))])
 
     @cached_property
     def _cells(self) -> dict[int, Cell]:
@@ -261,14 +261,14 @@ def _log_likelihoods(system: System, lengths: tuple[float, float], smoothness: f
     return np.asarray(logs - np.log(len(ratios)))
 
 
-def _halved(positions: FloatArray, rows: IntArray) -> list[IntArray]:
+def _halve_rows(positions: FloatArray, rows: IntArray) -> list[IntArray]:
     """Return rows cut in halves, across their longer side, until each part has few."""
     if len(rows) <= CELL_POINTS:
         return [rows]
     axis = int(np.argmax(np.ptp(positions[rows], axis=0)))
     order = rows[np.argsort(positions[rows, axis], kind="stable")]
     middle = len(order) // 2
-    return _halved(positions, order[:middle]) + _halved(positions, order[middle:])
+    return _halve_rows(positions, order[:middle]) + _halve_rows(positions, order[middle:])
 
 
 def _priors() -> Iterator[tuple[float, tuple[float, float], float, tuple[float, ...]]]:

@@ -91,7 +91,8 @@ def rank_places(fitted: Fit, candidates: FloatArray, scene: FloatArray, count: i
         free[best] = False
         too_near |= np.hypot(*(image - image[best]).T) < distance
         for axis in (0, 1):
-            remaining = _measured(remaining, candidate_factors[best, axis], spread.noise[axis])
+            remaining = _variance_after_measuring(remaining, candidate_factors[best, axis],
+                                                  spread.noise[axis])
         order.append(best)
         mean_variances.append(float(np.trace(remaining @ scene_products)))
     scale = original.scaling.image_scale
@@ -188,7 +189,8 @@ def _gains(factors: FloatArray, remaining: FloatArray, scene_products: FloatArra
     return np.asarray(np.einsum("cab,cba->c", np.linalg.inv(measurement), lessened))
 
 
-def _measured(remaining: FloatArray, factor: FloatArray, noise: float) -> FloatArray:
+def _variance_after_measuring(remaining: FloatArray, factor: FloatArray,
+                              noise: float) -> FloatArray:
     """Return what a further measurement leaves: R - R f f'R / (s + f'R f)."""
     toward = remaining @ factor
     return np.asarray(remaining - np.outer(toward, toward) / (noise + factor @ toward))

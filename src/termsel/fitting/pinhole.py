@@ -366,7 +366,7 @@ def pinhole_of(scaled: FeatureSet, scaling: Scaling) -> Pinhole | None:
 
     Heights that are not known, or all the same, are those of level ground.
     """
-    measured = _measured(scaled, scaling)
+    measured = _camera_points(scaled, scaling)
     return None if measured is None or len(
         measured.image) < PINHOLE_MIN_POINTS else camera_of(measured)
 
@@ -376,7 +376,7 @@ def pinhole_near(camera: Pinhole, scaled: FeatureSet, scaling: Scaling) -> Pinho
 
     The points are in the scaled coordinates of the camera.
     """
-    measured = _measured(scaled, scaling)
+    measured = _camera_points(scaled, scaling)
     return None if measured is None else camera_next_to(measured, camera.camera)
 
 
@@ -436,7 +436,7 @@ def _held_out_errors(measured: Measured, camera: Cameras, sigma: float) -> Float
     return np.asarray(measured.image - predicted)
 
 
-def _measured(scaled: FeatureSet, scaling: Scaling) -> Measured | None:
+def _camera_points(scaled: FeatureSet, scaling: Scaling) -> Measured | None:
     """Return scaled control points as a camera is fitted to them; None where none can be."""
     metres = metres_of(scaled, scaling)
     if metres is None or len(scaled.lines):
@@ -466,7 +466,7 @@ def _starts(measured: Measured) -> Cameras:
     # A focal length that is known needs no others.
     focals = np.array(
         _FOCALS) / EXPECTED_FOCAL if measured.focal_spread == FOCAL_LOG_DEVIATION else np.ones(1)
-    rotation = np.concatenate([_grid(mirrored=_mirrored(measured))] * len(focals))
+    rotation = np.concatenate([_grid(mirrored=_is_mirrored(measured))] * len(focals))
     focal = np.repeat(focals * measured.focal, len(rotation) // len(focals))
     turned = measured.ground @ rotation.transpose(0, 2, 1)                     # (s, n, 3)
     offsets = measured.image - measured.middle
@@ -486,7 +486,7 @@ def _starts(measured: Measured) -> Cameras:
     return cameras.take(order[np.isfinite(costs[order])])
 
 
-def _mirrored(measured: Measured) -> bool:
+def _is_mirrored(measured: Measured) -> bool:
     """Return whether the image is mirrored: then lines, samples and the view are left-handed."""
     columns = np.column_stack([np.ones(len(measured.image)), measured.ground[:, :2]])
     # The determinant of the affine map from ground to image tells its handedness.

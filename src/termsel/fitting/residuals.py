@@ -103,22 +103,22 @@ def control_residuals(control: FeatureSet, used: Iterable[bool], errors: FloatAr
 
     Of points (n, 2), and of both ground vertices of the lines (n_lines, 2, 2).
     """
-    return Residuals(_of_control(control, tuple(bool(on) for on in used), errors, line_errors),
+    return Residuals(_control_rows(control, tuple(bool(on) for on in used), errors, line_errors),
                      control.crs)
 
 
 def point_residuals(points: Points, errors: FloatArray, role: str,
                     used: Iterable[bool]) -> Residuals:
     """Return the errors of points [px], shape (n, 2), that all have one role, as a table."""
-    return Residuals(_rows(points.ids, errors, points.ground, role, used))
+    return Residuals(_residual_rows(points.ids, errors, points.ground, role, used))
 
 
-def _of_control(control: FeatureSet, used: tuple[bool, ...], errors: FloatArray,
-                line_errors: FloatArray) -> Iterator[Residual]:
+def _control_rows(control: FeatureSet, used: tuple[bool, ...], errors: FloatArray,
+                  line_errors: FloatArray) -> Iterator[Residual]:
     """Yield the residuals of points, then of the vertices of lines, piece by piece."""
     points = control.points
     lines = control.lines
-    yield from _rows(points.ids, errors, points.ground, "control", used[:len(points)])
+    yield from _residual_rows(points.ids, errors, points.ground, "control", used[:len(points)])
     # First all first pieces of lines, then all second ones: a line of two pieces has 4 vertices.
     piece_numbers = _piece_numbers(lines)
     for number in range(piece_numbers.max(initial=-1) + 1):
@@ -126,13 +126,14 @@ def _of_control(control: FeatureSet, used: tuple[bool, ...], errors: FloatArray,
         # Features are numbered points first, then lines.
         features = len(points) + lines.feature[of_number]
         for vertex in (0, 1):
-            yield from _rows(select(lines.ids, of_number), line_errors[of_number, vertex],
-                             lines.ground[of_number, vertex], "control",
-                             tuple(used[f] for f in features), f"vertex {2 * number + vertex + 1}")
+            yield from _residual_rows(select(lines.ids, of_number), line_errors[of_number, vertex],
+                                      lines.ground[of_number, vertex], "control",
+                                      tuple(used[f]
+                                            for f in features), f"vertex {2 * number + vertex + 1}")
 
 
-def _rows(ids: tuple[str, ...], errors: FloatArray, ground: FloatArray, role: str,
-          used: Iterable[bool], kind: str = "point") -> Iterator[Residual]:
+def _residual_rows(ids: tuple[str, ...], errors: FloatArray, ground: FloatArray, role: str,
+                   used: Iterable[bool], kind: str = "point") -> Iterator[Residual]:
     for name, on, error, position in zip(ids, used, errors.tolist(), ground.tolist(), strict=True):
         yield Residual(name, kind, role, on, *error, *position)
 

@@ -140,7 +140,7 @@ def closest_rpc(fitted: Fit, heights: tuple[float, float] | None = None) -> RpcF
                                     np.linspace(low, high, _N_LEVELS - 1))
     candidates = []
     for how, terms, ridge in _term_sets(fitted):
-        rpc = _refitted(image, ground, terms, ridge)
+        rpc = _refit_rpc(image, ground, terms, ridge)
         loss = (np.inf, np.inf) if _has_pole(rpc, ground) else _loss(rpc, ground_between, between)
         candidates.append(RpcFit(rpc, how, *loss, excluded_part))
         if candidates[-1].worst <= GOOD:
@@ -248,7 +248,7 @@ def _grid(fitted: Fit, convert: Callable[[FloatArray], FloatArray], across: int,
     return image[is_seen, :2], convert(ground[is_seen])
 
 
-def _refitted(image: FloatArray, ground: FloatArray, terms: BoolArray, ridge: float = 0.0) -> Rpc:
+def _refit_rpc(image: FloatArray, ground: FloatArray, terms: BoolArray, ridge: float = 0.0) -> Rpc:
     """Return an RPC with some terms that is fitted to positions of the model."""
     model = RationalFunctions(ridge=ridge)
     if np.ptp(ground[:, 2]) < 1e-6:

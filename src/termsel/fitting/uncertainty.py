@@ -119,15 +119,15 @@ def spread_of(model: SensorModel, control: FeatureSet, terms: BoolArray, adjustm
                                 ground)
     believed = _Belief.of(model, control, heights=with_heights)
     if believed is None and least_squares:
-        return _propagated(model, control, terms, adjustment, ground)[0]
+        return _propagated_noise(model, control, terms, adjustment, ground)[0]
     if believed is None:
         believed = _belief_of_points(model, control, heights=with_heights)
         return _unknown(len(ground)) if believed is None else believed.spread(ground, image)
     if not least_squares or model.polynomial_degree is not None:
         return believed.spread(ground, image)
-    propagated, squares = _propagated(model, control, terms, adjustment, ground)
+    propagated, squares = _propagated_noise(model, control, terms, adjustment, ground)
     chance = _chance_of_model(adjustment.n_terms, squares, believed)
-    return _mixed(chance, propagated, believed.spread(ground, image))
+    return _mixed_squares(chance, propagated, believed.spread(ground, image))
 
 
 def _belief_of_points(model: SensorModel, control: FeatureSet, *, heights: bool) -> _Belief | None:
@@ -187,7 +187,7 @@ def unexplained_by(model: SensorModel, control: FeatureSet, terms: BoolArray,
         return [own]
     chance = 0.0
     if least_squares and model.polynomial_degree is None:
-        squares = _propagated(model, control, terms, adjustment, points.ground[:1])[1]
+        squares = _propagated_noise(model, control, terms, adjustment, points.ground[:1])[1]
         chance = _chance_of_model(adjustment.n_terms, squares, believed)
     of_belief = Unexplained(1.0 - chance, believed.residuals(points), believed.effective())
     return [replace(own, chance=chance), of_belief]
@@ -222,7 +222,7 @@ def _chance_of_being_less(squares: FloatArray, others: FloatArray) -> float:
     return 0.5 * erfc(excess.mean() / deviation / 2**0.5)
 
 
-def _mixed(chance: float, first: Spread, second: Spread) -> Spread:
+def _mixed_squares(chance: float, first: Spread, second: Spread) -> Spread:
     """Return the mean square errors where the one spread holds with a chance, else the other."""
     factors = None
     if first.factors is not None and second.factors is not None:
@@ -347,8 +347,9 @@ def _unknown(count: int) -> Spread:
     return Spread(np.full((count, 2), np.nan), np.full(2, np.nan))
 
 
-def _propagated(model: SensorModel, control: FeatureSet, terms: BoolArray, adjustment: Adjustment,
-                ground: FloatArray) -> tuple[Spread, FloatArray]:
+def _propagated_noise(model: SensorModel, control: FeatureSet, terms: BoolArray,
+                      adjustment: Adjustment,
+                      ground: FloatArray) -> tuple[Spread, FloatArray]:
     """Return the noise propagated through an adjustment, and squared held-out errors of features.
 
     Of a model that corrects predictions by its control it is that of the uncorrected ones, which

@@ -112,7 +112,7 @@ def say_nearest(name: str, fitted: Fit, xy: FloatArray, image: FloatArray,
     exact = fitted.project(ground)
     transformations: dict[str, Transformation] = {}
     for key in labels:
-        by_gcps = _by_gcps(key, xy, image, fitted.control.crs)
+        by_gcps = _transformation_of_gcps(key, xy, image, fitted.control.crs)
         if by_gcps is not None:
             transformations[key] = by_gcps
     if len(np.unique(xy, axis=0)) < len(xy):
@@ -138,7 +138,8 @@ def say_nearest(name: str, fitted: Fit, xy: FloatArray, image: FloatArray,
     return nearest
 
 
-def _by_gcps(key: str, xy: FloatArray, image: FloatArray, crs: str) -> Transformation | None:
+def _transformation_of_gcps(key: str, xy: FloatArray, image: FloatArray,
+                            crs: str) -> Transformation | None:
     """Return a transformation by least squares of GCPs, or None if they do not determine it."""
     n = len(xy)
     # At least two directions of points on either side are needed for any transformation.

@@ -70,7 +70,7 @@ class Dem:
     def __call__(self, xy: FloatArray) -> FloatArray:
         """Return heights, shape (n,), of x and y, shape (n, 2); NaN where there are none."""
         x, y = self._raster_xy(xy)
-        return self.converted(x, y, self._interpolated(x, y))
+        return self.converted(x, y, self._interpolate_heights(x, y))
 
     def converted(self, x: FloatArray, y: FloatArray, heights: FloatArray) -> FloatArray:
         """Return the raster's own heights at its x and y as those of the ground coordinates."""
@@ -105,7 +105,7 @@ class Dem:
             x = nearest(np.asarray(x), (self.raster.bounds.left + self.raster.bounds.right) / 2)
         return np.asarray(x), np.asarray(y)
 
-    def _interpolated(self, x: FloatArray, y: FloatArray) -> FloatArray:
+    def _interpolate_heights(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Return the raster's own heights at its x and y."""
         position = positions(self.raster, x, y)
         size = np.array(self.raster.shape)

@@ -76,7 +76,8 @@ def with_image_origin(features: FeatureSet, choice: str | None, states_own: bool
         if states_own:
             raise TermselError("the format of this file defines the origin of its lines and "
                                "samples", hint="Leave image_origin out.")
-        return replace(_turned(features, origin, size), image_origin=_ORIGIN_WORDS[origin])
+        return replace(_turn_to_upper_left(features, origin, size),
+                       image_origin=_ORIGIN_WORDS[origin])
     if states_own or not len(features):
         return features
     lines = features.image_vertices()[:, 0]
@@ -95,11 +96,12 @@ def with_image_origin(features: FeatureSet, choice: str | None, states_own: bool
                  "FILE.")
     log.warning("Note: no line is above 0, so lines are read as y upwards from the upper-left "
                 "pixel. If they count from its corner, give --set image_origin=y-up-corner.")
-    return replace(_turned(features, UP, size),
+    return replace(_turn_to_upper_left(features, UP, size),
                    image_origin=f"{_ORIGIN_WORDS[UP]}, as all lines are at most 0")
 
 
-def _turned(features: FeatureSet, origin: str, size: tuple[int, int] | None) -> FeatureSet:
+def _turn_to_upper_left(features: FeatureSet, origin: str,
+                        size: tuple[int, int] | None) -> FeatureSet:
     """Return features whose image coordinates are turned from an origin to that of termsel."""
     half = 0.5 if origin.endswith(CORNER) else 0.0
     start = origin.removesuffix(f"-{CORNER}")

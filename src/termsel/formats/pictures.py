@@ -107,13 +107,13 @@ def picture_of(image: Path) -> Picture:
     with open_raster(image) as raster:
         thematic = _has_classes(image)
         # rasterio has no names of categories and no lookup tables.
-        described = _described(raster)
+        described = _band_descriptions(raster)
         bands = tuple(_band(raster, number, element, thematic)
                       for number, element in zip(raster.indexes, described, strict=True))
-        return Picture(raster.shape, image, bands, _masked(raster, image))
+        return Picture(raster.shape, image, bands, _has_own_mask(raster, image))
 
 
-def _described(raster: Any) -> Sequence[ElementTree.Element]:
+def _band_descriptions(raster: Any) -> Sequence[ElementTree.Element]:
     """Return what GDAL says of each band in a VRT: rasterio does not tell names of categories."""
     # The copy must be made where the dataset is open, in the other process.
     text = with_dataset(raster, _text_of_vrt)
@@ -175,7 +175,7 @@ def _has_classes(image: Path) -> bool:
     return is_there(image.with_name(f"{image.name}.vat.dbf"))
 
 
-def _masked(raster: Any, image: Path) -> bool:
+def _has_own_mask(raster: Any, image: Path) -> bool:
     """Return whether an image has a mask of its own, and say so where its bands differ in it."""
     from rasterio.enums import MaskFlags
 

@@ -69,13 +69,13 @@ def averaged(ids: Sequence[str], image: FloatArray, ground: FloatArray, sigma: F
         if len(used) > 1:
             repeated.append(used)
     if repeated:
-        _say_averaged(ids, image, means, repeated)
+        _log_averaged_rows(ids, image, means, repeated)
     first = np.array(sorted(first_rows), dtype=np.intp)
     return first, means[first], None if deviations is None else deviations[first]
 
 
-def _say_averaged(ids: Sequence[str], image: FloatArray, means: FloatArray,
-                  repeated: Sequence[Sequence[int]]) -> None:
+def _log_averaged_rows(ids: Sequence[str], image: FloatArray, means: FloatArray,
+                       repeated: Sequence[Sequence[int]]) -> None:
     """Log which rows were averaged, and how far they are from their means at most."""
     distances = [float(np.linalg.norm(image[rows] - means[rows[0]], axis=1).max())
                  for rows in repeated]

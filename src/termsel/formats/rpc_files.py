@@ -141,15 +141,15 @@ def with_rpc(features: FeatureSet, rpc: Rpc | Path | str,
 def _read(path: Path, head: bytes, rpc_name: str) -> Rpc:
     """Return the RPC of an image, of XML, or of text with names and values."""
     if b"\0" in head and not is_utf16(head):
-        items, of_bands = _in_image(path)
+        items, of_bands = _rpc_items_of_image(path)
         if not items and not of_bands:
             raise TermselError("this image has no RPC that GDAL finds", file=path,
                                hint=f"Expected {KNOWN}.")
         if items and not rpc_name:
             return from_items(items)
-        return _of_several(of_bands, rpc_name, bands=True)
+        return _choose_rpc(of_bands, rpc_name, bands=True)
     if head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"<"):
-        return _from_xml(path, rpc_name)
+        return _rpc_from_xml(path, rpc_name)
     text = read_text(path)
     entries = {name: (value, line) for name, value, line in _entries(text)}
     gdal_names = {rpb: name for name, rpb in (RPB_NAMES | ERROR_NAMES).items()}
@@ -168,11 +168,11 @@ def _read(path: Path, head: bytes, rpc_name: str) -> Rpc:
         return of_result
     nested = rpcs_of_tree(tree)
     if not nested:
-        raise _in_no_known_form(path, text)
-    return _of_several(nested, rpc_name)
+        raise _error_for_unknown_form(path, text)
+    return _choose_rpc(nested, rpc_name)
 
 
-def _in_image(path: Path) -> tuple[dict[str, str], dict[str, Items]]:
+def _rpc_items_of_image(path: Path) -> tuple[dict[str, str], dict[str, Items]]:
     """Return the items of the RPC of an image, and those of its bands by their numbers."""
     with open_raster(path) as raster:
         of_bands = {str(number): rpc_of_tags(raster.tags(number, ns="RPC"))
@@ -180,7 +180,7 @@ def _in_image(path: Path) -> tuple[dict[str, str], dict[str, Items]]:
         return raster.tags(ns="RPC"), {band: items for band, items in of_bands.items() if items}
 
 
-def _of_several(items_of: Mapping[str, Items], name: str, *, bands: bool = False) -> Rpc:
+def _choose_rpc(items_of: Mapping[str, Items], name: str, *, bands: bool = False) -> Rpc:
     """Return the RPC of a name, the only one, or of bands that in the middle.
 
     Raises TermselError for a name that there is not, and for RPCs of several images without one.
@@ -204,7 +204,7 @@ def _of_several(items_of: Mapping[str, Items], name: str, *, bands: bool = False
     return rpcs[middle]
 
 
-def _in_no_known_form(path: Path, text: str, root: str = "") -> TermselError:
+def _error_for_unknown_form(path: Path, text: str, root: str = "") -> TermselError:
     """Return the error for a file in which no RPC is read: it may have one in another form."""
     kind = f"this XML <{root}>" if root else "this file"
     # What has some of an RPC's names is one in a form not known; all else is another file.
@@ -291,13 +291,13 @@ def _number(text: str, name: str, line: int | None = None) -> float:
                            hint=hint) from None
 
 
-def _from_xml(path: Path, name: str) -> Rpc:
+def _rpc_from_xml(path: Path, name: str) -> Rpc:
     """Return the RPC of XML by GDAL or a vendor."""
     content = read_data(path)
     # Without a declaration it is GDAL's, which writes names of files with the bytes they have.
     declared = content.lstrip().startswith(b"<?xml")
     try:
-        root = (_parsed(content) if declared else
+        root = (_root_of_xml(content) if declared else
                 ElementTree.fromstring(content.decode("utf-8-sig", errors="replace")))
     except (LookupError, UnicodeError) as error:
         raise TermselError(f"the encoding of this XML cannot be read: {error}", file=path, line=1,
@@ -307,9 +307,9 @@ def _from_xml(path: Path, name: str) -> Rpc:
                            line=error.position[0], hint="Is the file complete?") from error
     # Vendors have their own trees; the rest of the forms has names that tell.
     if root.tag == "Dimap_Document":
-        return _from_dimap(root)
+        return _rpc_from_dimap(root)
     if of_bands := rpcs_of_xml(root):
-        return _of_several(of_bands, name, bands=True)
+        return _choose_rpc(of_bands, name, bands=True)
     items: dict[str, str] = {}
     for domain in root.iter("Metadata"):
         if domain.get("domain") == "RPC":
@@ -318,11 +318,11 @@ def _from_xml(path: Path, name: str) -> Rpc:
         digital_globe = {rpb.upper(): name for name, rpb in (RPB_NAMES | ERROR_NAMES).items()}
         items = {digital_globe[name]: text for name, text in _texts(root) if name in digital_globe}
     if not items:
-        raise _in_no_known_form(path, content.decode("utf-8", errors="replace"), root.tag)
+        raise _error_for_unknown_form(path, content.decode("utf-8", errors="replace"), root.tag)
     return from_items(items)
 
 
-def _parsed(content: bytes) -> ElementTree.Element:
+def _root_of_xml(content: bytes) -> ElementTree.Element:
     """Return the root of XML in any encoding that Python knows."""
     # The parser of Python knows few encodings of several bytes.
     try:
@@ -336,7 +336,7 @@ def _parsed(content: bytes) -> ElementTree.Element:
         return ElementTree.fromstring(content.decode(encoding[1].decode("ascii")))
 
 
-def _from_dimap(root: ElementTree.Element) -> Rpc:
+def _rpc_from_dimap(root: ElementTree.Element) -> Rpc:
     """Return the RPC from ground to image of a DIMAP file, as GDAL takes it."""
     model = root.find(".//Global_RFM")
     domain = root.find(".//RFM_Validity")

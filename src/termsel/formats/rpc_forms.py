@@ -205,10 +205,10 @@ def _items(values: Mapping[str, Any]) -> Items:
             items[name] = str(value)
     # Coefficients that are numbered have an item each.
     return {name: text for name, text in items.items() if text} | {
-        name: _joined(items, name) for name, text in items.items() if not text}
+        name: _join_lines(items, name) for name, text in items.items() if not text}
 
 
-def _joined(items: Items, name: str) -> str:
+def _join_lines(items: Items, name: str) -> str:
     # By their numbers, as 10 comes before 2 in the order of text.
     keys = [key for key in items if key.startswith(f"{name}_")]
     return " ".join(items[key] for key in sorted(keys, key=_number_of))

@@ -91,7 +91,7 @@ def with_declared_datum(raster: Any, crs: CRS, path: Path) -> CRS:
     # A third axis, or a compound CRS, says it by itself.
     if len(crs.axis_info) > 2:
         return crs
-    vertical = _by_tags(raster, path)
+    vertical = _datum_by_tags(raster, path)
     if vertical is None:
         return crs
     if vertical == "ellipsoidal":
@@ -142,7 +142,7 @@ def to_datum_of(crs: str, raster_crs: CRS, path: Path) -> Heights | None:
         reason = error.what.partition(": ")[2] or error.what
         raise TermselError(
             f"the heights of this raster are {datum}, those of the ground coordinates are "
-            f"{_described(crs)}, and {reason}", file=path,
+            f"{_heights_in_words(crs)}, and {reason}", file=path,
             hint=f"{error.hint or 'Give a raster of the same heights.'}{_same(crs, raster_crs)}"
         ) from error
 
@@ -155,7 +155,7 @@ def to_datum_of(crs: str, raster_crs: CRS, path: Path) -> Heights | None:
     return heights
 
 
-def _described(crs: str) -> str:
+def _heights_in_words(crs: str) -> str:
     """Return what heights of ground coordinates refer to, in words."""
     reference = height_reference(crs)
     return "taken as ellipsoidal" if reference.startswith("not stated") else reference
@@ -189,7 +189,7 @@ def _frame(crs: CRS) -> tuple[str, str]:
                                                         else geodetic.name)
 
 
-def _by_tags(raster: Any, path: Path) -> str | None:
+def _datum_by_tags(raster: Any, path: Path) -> str | None:
     """Return the vertical datum that tags state: a code of EPSG, or "ellipsoidal"."""
     for name, value in {**raster.tags(), **raster.tags(1)}.items():
         # The name must be of heights and of a datum: "height" alone is a number.
@@ -222,15 +222,15 @@ def _datum_of(words: tuple[str, ...]) -> str | None:
     codes = _vertical_names()
     # "navd 88 height" before "navd".
     for count in range(min(len(words), _LONGEST_NAME), 0, -1):
-        for name in _joined(words, count):
+        for name in _join_words(words, count):
             code = codes.get(_OTHER_NAMES.get(name, name))
             if code is not None:
                 return code
-    joined = {*_joined(words, 1), *_joined(words, 2)}
+    joined = {*_join_words(words, 1), *_join_words(words, 2)}
     return "ellipsoidal" if joined & _ELLIPSOIDAL else None
 
 
-def _joined(words: tuple[str, ...], count: int) -> Iterator[str]:
+def _join_words(words: tuple[str, ...], count: int) -> Iterator[str]:
     for first in range(len(words) - count + 1):
         yield "".join(words[first:first + count])
 

@@ -48,7 +48,7 @@ def with_z_unit(features: FeatureSet, stated: str | None, dem: Path | None = Non
     plane coordinates without a CRS cannot have.
     """
     if stated is not None:
-        return _asked(features, stated)
+        return _convert_to_asked_unit(features, stated)
     heights = features.ground_vertices()[:, 2]
     # Without any height, or without a CRS, there is nothing to convert.
     if features.crs == LOCAL or not np.isfinite(heights).any():
@@ -63,16 +63,16 @@ def with_z_unit(features: FeatureSet, stated: str | None, dem: Path | None = Non
         return features
     in_feet = str(unit_of_plane(features.crs))
     units = (in_feet, METRE)
-    if dem is not None and (unit := _by_dem(features, units, dem)):
-        return _in(features, unit, "as the DEM tells")
-    if features.rpc is not None and (unit := _by_rpc(features, units, features.rpc)):
-        return _in(features, unit, "as the RPC tells")
+    if dem is not None and (unit := _unit_by_dem(features, units, dem)):
+        return _in_unit(features, unit, "as the DEM tells")
+    if features.rpc is not None and (unit := _unit_by_rpc(features, units, features.rpc)):
+        return _in_unit(features, unit, "as the RPC tells")
     raise TermselError(
         f"z may be in {WORDS[in_feet]}, as x and y in {short(features.crs)} are, or in metres",
         hint=f"State it: --set z_unit={in_feet} or --set z_unit={METRE}.")
 
 
-def _asked(features: FeatureSet, stated: str) -> FeatureSet:
+def _convert_to_asked_unit(features: FeatureSet, stated: str) -> FeatureSet:
     """Return features in the unit that is asked for."""
     if stated not in Z_UNIT.choices:
         raise TermselError(f"option 'z_unit' does not take {stated!r}",
@@ -81,10 +81,10 @@ def _asked(features: FeatureSet, stated: str) -> FeatureSet:
         raise TermselError("plane coordinates without a CRS have z in their own unit",
                            hint="Leave z_unit out, or state the CRS of the ground coordinates.")
     unit = unit_of_plane(features.crs) or METRE if stated == OF_PLANE else stated
-    return _in(features, unit, "as stated")
+    return _in_unit(features, unit, "as stated")
 
 
-def _in(features: FeatureSet, unit: str, why: str) -> FeatureSet:
+def _in_unit(features: FeatureSet, unit: str, why: str) -> FeatureSet:
     return replace(features, crs=with_height_unit(features.crs, unit),
                    z_unit=f"{WORDS[unit]}, {why}")
 
@@ -98,7 +98,7 @@ def _telling(features: FeatureSet) -> FeatureSet:
                                              & np.array(has_say, dtype=bool)))
 
 
-def _by_dem(features: FeatureSet, units: tuple[str, ...], dem: Path) -> str | None:
+def _unit_by_dem(features: FeatureSet, units: tuple[str, ...], dem: Path) -> str | None:
     """Return the unit in which heights differ from a DEM by a shift, or agree with it."""
     ground = _telling(features).ground_vertices()
     ground = ground[np.isfinite(ground[:, 2])]
@@ -116,7 +116,7 @@ def _by_dem(features: FeatureSet, units: tuple[str, ...], dem: Path) -> str | No
     return _clearly(distance) if max(distance.values()) > _MAX_GEOID_HEIGHT else None
 
 
-def _by_rpc(features: FeatureSet, units: tuple[str, ...], rpc: Rpc) -> str | None:
+def _unit_by_rpc(features: FeatureSet, units: tuple[str, ...], rpc: Rpc) -> str | None:
     """Return the unit in which an RPC sees points where they are, but for a shift, or covers them.
     """
     points = _telling(features).points

@@ -26,10 +26,10 @@ def writer_of(to: str, **options: Any) -> Writer:
     writer: type[Writer] = registry().get("writers", to)
     # An option of --image, say, is given to all formats, of which few have it.
     return writer(**{key: value for key, value in options.items()
-                     if key not in _of_others(writer)})
+                     if key not in _options_of_other_formats(writer)})
 
 
-def _of_others(writer: type[Writer]) -> set[str]:
+def _options_of_other_formats(writer: type[Writer]) -> set[str]:
     """Return the options that other formats have and this one has not."""
     of_all: set[str] = set()
     for entry in registry().entries("writers"):
@@ -49,7 +49,7 @@ def as_exported(result: Result, final: bool | None) -> Result:
     return result.as_exported(final)
 
 
-def _left(writer: Writer, result: Result, path: Path) -> list[Path]:
+def _files_left_alone(writer: Writer, result: Result, path: Path) -> list[Path]:
     """Return files next to one that is not there, which have the content that they would get.
 
     Writers of several files write that of the name last. So an export that was killed leaves such
@@ -106,7 +106,7 @@ def export(result: Result, to: str, path: Path | str, *, overwrite: bool = False
     path = Path(path)
     result = as_exported(result, final)
     writer = writer_of(to, **options)
-    ignored = sorted(options.keys() & _of_others(type(writer)))
+    ignored = sorted(options.keys() & _options_of_other_formats(type(writer)))
     if "image" in ignored and options["image"] and Path(options["image"]).is_file():
         # Another image than that of the features is refused whatever the format.
         picture_for(result, options["image"])
@@ -121,7 +121,7 @@ def export(result: Result, to: str, path: Path | str, *, overwrite: bool = False
     # What may not be replaced, but for what an export that was killed has left.
     files = set(writer.files(path))
     if not overwrite and not is_there(path):
-        files -= set(_left(writer, result, path))
+        files -= set(_files_left_alone(writer, result, path))
     require_replaceable(files, reads=writer.options.values(), overwrite=overwrite)
     for file in files - {path}:
         refuse_link(file)  # only the first has a name that somebody typed

@@ -93,7 +93,7 @@ def map_crs(result: Result, crs: str | None) -> str:
         raise TermselError("a map requires a CRS, but the result has plane coordinates without "
                            "one",
                            hint="State the CRS of the ground coordinates when you run termsel.")
-    target = _in_metres(result) if crs is None else horizontal(crs)
+    target = _metric_crs(result) if crs is None else horizontal(crs)
     if not target:
         raise TermselError("a map needs a CRS", hint="Give --crs, such as EPSG:32631.")
     if is_geocentric(target):
@@ -103,7 +103,7 @@ def map_crs(result: Result, crs: str | None) -> str:
     return target
 
 
-def _in_metres(result: Result) -> str:
+def _metric_crs(result: Result) -> str:
     """Return the CRS of the control if it is in metres, else the zone of UTM, or a polar one."""
     control_crs = result.features.crs
     if not is_geographic(control_crs) \

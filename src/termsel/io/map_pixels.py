@@ -254,9 +254,10 @@ def warp(raster: Any, output: Path, grid: MapGrid, spec: MapPixels, *, tags: Map
         shape = window.height, window.width
         try:
             if positions is not None:
-                tile, visible = _interpolated(raster, spec, positions.of_tile(shape, transform))
+                tile, visible = _interpolated_tile(raster, spec,
+                                                   positions.of_tile(shape, transform))
             else:
-                tile, visible = with_dataset(raster, _warped, spec, shape, grid.crs, transform,
+                tile, visible = with_dataset(raster, _warped_tile, spec, shape, grid.crs, transform,
                                              options)
         except (RasterioError, CPLE_BaseError) as error:
             raise _unreadable_source(spec.picture.path, error) from error
@@ -293,7 +294,7 @@ def _unreadable_source(image: Path | None, error: Exception) -> TermselError:
                         hint="Check the raster of heights: is it complete?")
 
 
-def _interpolated(raster: Any, spec: MapPixels, positions: FloatArray) -> tuple[Values, Mask]:
+def _interpolated_tile(raster: Any, spec: MapPixels, positions: FloatArray) -> tuple[Values, Mask]:
     """Return a tile of the map, alpha last, and where it shows the image, from its positions."""
     colours = len(spec.empty)
     bands = colours + spec.alpha
@@ -308,7 +309,8 @@ def _interpolated(raster: Any, spec: MapPixels, positions: FloatArray) -> tuple[
     if size > _LARGEST_PART and max(shape) > 1:
         # Of a map that is much coarser than the image, a tile is made in two halves.
         axis = int(np.argmax(shape))
-        halves = [_interpolated(raster, spec, half) for half in np.array_split(positions, 2, axis)]
+        halves = [_interpolated_tile(raster, spec, half)
+                  for half in np.array_split(positions, 2, axis)]
         return (np.concatenate([tile for tile, _ in halves], axis + 1),
                 np.concatenate([visible for _, visible in halves], axis))
     values, has_data = _read(raster, spec, window)
@@ -353,8 +355,8 @@ def _read(raster: Any, spec: MapPixels, window: Any) -> tuple[Values, Mask]:
     return values, has_data
 
 
-def _warped(raster: Any, spec: MapPixels, shape: tuple[int, int], crs: str, transform: Any,
-            options: Mapping[str, Any]) -> tuple[Values, Mask]:
+def _warped_tile(raster: Any, spec: MapPixels, shape: tuple[int, int], crs: str, transform: Any,
+                 options: Mapping[str, Any]) -> tuple[Values, Mask]:
     """Return a tile of the map, alpha last, and where it shows the image."""
     import rasterio
     from rasterio.enums import Resampling

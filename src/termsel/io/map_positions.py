@@ -86,14 +86,14 @@ class MapPositions:
         if not has_height.any():
             return np.full((*shape, 2), np.nan)
         levels = self._levels(float(heights[has_height].min()), float(heights[has_height].max()))
-        sampled = self._tried(has_height)
+        sampled = self._try_positions(has_height)
         plan = self._ground(sampled.astype(np.float64) + 0.5, transform)
         exact = self._positions(np.column_stack([plan, heights[tuple(sampled.T)]]))
         # The step is halved until the largest error at the sampled pixels is below `CLOSE_PX`; it
         # begins with the one that the last tile needed, as neighbours are alike.
         step = self._step
         while True:
-            positions = self._interpolated(shape, transform, heights, levels, step)
+            positions = self._interpolate_positions(shape, transform, heights, levels, step)
             error = _largest_error(positions[tuple(sampled.T)], exact)
             if error <= CLOSE_PX or step <= FINEST:
                 break
@@ -103,7 +103,7 @@ class MapPositions:
             return self._each(shape, transform, heights)
         return positions
 
-    def _tried(self, has_height: NDArray[np.bool_]) -> NDArray[np.intp]:
+    def _try_positions(self, has_height: NDArray[np.bool_]) -> NDArray[np.intp]:
         """Return lines and samples (m, 2) of some pixels of a tile whose height is known."""
         with_height = np.argwhere(has_height) if has_height.mean() < 0.5 else None
         if with_height is not None:
@@ -113,8 +113,8 @@ class MapPositions:
                            for size in has_height.shape], axis=1)
         return np.asarray(pixels[has_height[tuple(pixels.T)]][:TRIED])
 
-    def _interpolated(self, shape: tuple[int, int], transform: Any, heights: FloatArray,
-                      levels: FloatArray, step: int) -> FloatArray:
+    def _interpolate_positions(self, shape: tuple[int, int], transform: Any, heights: FloatArray,
+                               levels: FloatArray, step: int) -> FloatArray:
         """Return positions between those at nodes, at the heights of the pixels."""
         nodes, size = _nodes(shape, step)
         plan = self._ground(nodes, transform)

@@ -178,8 +178,8 @@ def read(
                                hint="Read files by themselves and join them with "
                                     "FeatureSet.with_.")
         with averaging(repeated):
-            features = _of_image(_read_frame(points, crs, of_readers, origin, swapped),
-                                 image, size)
+            features = _with_image_size(_read_frame(points, crs, of_readers, origin, swapped),
+                                        image, size)
             features = _with_rpc_and_heights(features, dem, rpc, z_unit, image_part)
             return _with_packages(features, of_packages, image)
     with ExitStack() as stack:
@@ -196,7 +196,7 @@ def read(
         features = read_features(*paths[:2], areas=paths[2], crs=crs, readers=readers,
                                  formats=formats, options=of_readers, origin=origin,
                                  swapped=swapped)
-        features = _of_image(features, image, size)
+        features = _with_image_size(features, image, size)
     files = [path for path in (points, lines, areas) if path is not None]
     try:
         features = _with_rpc_and_heights(features, dem, rpc, z_unit, image_part)
@@ -266,8 +266,8 @@ def features_of(source: Any, crs: str | None = None,
         raise located(error, Path(source)) from error
 
 
-def _of_image(features: FeatureSet, image: Path | str | None, size: tuple[int, int] | None,
-              ) -> FeatureSet:
+def _with_image_size(features: FeatureSet, image: Path | str | None, size: tuple[int, int] | None,
+                     ) -> FeatureSet:
     """Return features with the size of their image, where they do not state it; all lie in it."""
     if image is None or size is None:
         return features
@@ -340,20 +340,20 @@ def find_reader(path: Path, readers: Iterable[type[Reader]], format: str | None 
         raise unknown_name("file format", format, [reader.name for reader in usable])
     if is_there(path) and path.is_dir():
         for_folders = [reader for reader in named or usable if reader.folders]
-        of_folder = _recognising(path, b"", for_folders)
+        of_folder = _readers_that_recognise(path, b"", for_folders)
         if of_folder is not None:
             return of_folder
     head = read_head(path, EXPECTED)
     if named:
         return named[0]
-    recognising = _recognising(path, head, usable)
+    recognising = _readers_that_recognise(path, head, usable)
     if recognising is not None:
         return recognising
     if any(name in head for name in (b"LINE_NUM_COEFF", b"lineNumCoef", b"Global_RFM")):
         raise TermselError("this file contains an RPC and no control features", file=path,
                            hint="Give control with --points and the RPC with --rpc; auto then "
                                 "corrects it. " + registry().missing("rpc-gcps"))
-    if is_utf16(head) and _recognising(
+    if is_utf16(head) and _readers_that_recognise(
             path, head.decode("utf-16", errors="ignore").encode(), usable) is not None:
         raise utf16_error(path)
     _refuse_other_content(path, head)
@@ -386,7 +386,7 @@ def _refuse_other_content(path: Path, head: bytes) -> None:
                                 "image coordinates among their properties.")
 
 
-def _recognising(path: Path, head: bytes, readers: Sequence[Reader]) -> Reader | None:
+def _readers_that_recognise(path: Path, head: bytes, readers: Sequence[Reader]) -> Reader | None:
     """Return the reader that recognises a file; built-in ones come first, in their order."""
     built_in_reader = next((reader for reader in readers
                             if is_own(type(reader)) and reader.sniff(path, head)), None)
@@ -523,7 +523,7 @@ def _features_of_files(points: Path | None, lines: Path | None, *, areas: Path |
     sets = {path: exchanged_back(reader.read(path), swapped)
             for path, reader in reader_of.items()}
     if origin is not None:
-        sets = {path: _from_origin(path, features, reader_of[path], origin)
+        sets = {path: _count_from_origin(path, features, reader_of[path], origin)
                 for path, features in sets.items()}
     for path, features in sets.items():
         _say_misspelt(path, features)
@@ -563,7 +563,8 @@ def _say_doubts(features: FeatureSet) -> None:
         log.warning("Warning: %s", mixed)
 
 
-def _from_origin(path: Path, features: FeatureSet, reader: Reader, origin: Origin) -> FeatureSet:
+def _count_from_origin(path: Path, features: FeatureSet, reader: Reader,
+                       origin: Origin) -> FeatureSet:
     """Return the features of a file, counted from the centre of the upper-left pixel."""
     try:
         return origin(features, states_own=reader.states_origin, default=reader.default_origin)

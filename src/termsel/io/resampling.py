@@ -168,10 +168,10 @@ def _weight(distance: float, kernel: int, stretch: float) -> float:
 _weight = compiled(_weight)
 
 
-def _filled(pixels: Any, has_data: Any, first_line: int, first_sample: int, positions: Any,
-            kernel: int, radius: float, stretch_line: float, stretch_sample: float, lines: int,
-            samples: int, integral: bool, low: float, high: float, values: Any,
-            visible: Any) -> None:
+def _fill_pixels(pixels: Any, has_data: Any, first_line: int, first_sample: int, positions: Any,
+                 kernel: int, radius: float, stretch_line: float, stretch_sample: float, lines: int,
+                 samples: int, integral: bool, low: float, high: float, values: Any,
+                 visible: Any) -> None:
     """Fill `values` and `visible` (bands, lines, samples), pixel by pixel of the map."""
     bands, rows, columns = pixels.shape
     reach_line = radius * stretch_line
@@ -230,7 +230,7 @@ def _filled(pixels: Any, has_data: Any, first_line: int, first_sample: int, posi
                     visible[band, i, j] = True
 
 
-_fill = compiled(_filled)
+_fill = compiled(_fill_pixels)
 
 
 def _filled_complex(pixels: Any, has_data: Any, first_line: int, first_sample: int, positions: Any,

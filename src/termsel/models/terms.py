@@ -70,7 +70,7 @@ class Term:
             Such as "line.num:X2Y". Where a plugin names terms in a way of its own, all that is
             not an axis or a part is the label.
         """
-        return _parsed(text)
+        return _parse_term(text)
 
     def __str__(self) -> str:
         axis = "" if self.axis == "both" else f"{self.axis}."
@@ -115,7 +115,7 @@ class Term:
 
 
 @lru_cache(maxsize=1024)
-def _parsed(text: str) -> Term:
+def _parse_term(text: str) -> Term:
     match = _TERM_NAME.fullmatch(text)
     assert match is not None  # the pattern takes any text
     axis, kind, column = match.groups()

@@ -159,7 +159,7 @@ class Loader:
     def __init__(self, entry_points: Iterable[EntryPoint] | None = None) -> None:
         self.failures: list[Remark] = []
         self._missing: list[Plugin] = []
-        points = self._installed() if entry_points is None else entry_points
+        points = self._usable_entry_points() if entry_points is None else entry_points
         external = [Slot(_plugin_of(point), point.load, point.module, hooks_in_source(point))
                     for point in points]
         self.slots = [
@@ -184,7 +184,7 @@ class Loader:
                 self._load(slot)
         return [slot for slot in self.slots if hook in slot.hooks]
 
-    def _installed(self) -> list[EntryPoint]:
+    def _usable_entry_points(self) -> list[EntryPoint]:
         """Return the entry points of the installed plugins that may be used."""
         chosen_names = chosen_packages()
         # termsel's own entry point serves other programs; `builtin` is loaded without it, so
@@ -299,7 +299,7 @@ def _points_of(distribution: Distribution) -> tuple[list[EntryPoint], str]:
     if points is None:
         _spare_numba()
         return [], f"its entry_points.txt cannot be read: {reason}"
-    if points and attempt(lambda: _named(distribution))[1]:
+    if points and attempt(lambda: _distribution_names(distribution))[1]:
         return [], "its METADATA is missing or cannot be read; install it again"
     # Reversed, so that of two with a name the first is kept.
     first = {point.name: point for point in reversed(points)}
@@ -323,7 +323,7 @@ def _spare_numba() -> None:
 
 def _name_of(distribution: Distribution) -> str:
     """Return the name of a distribution: by its folder where it has no readable metadata."""
-    name, _ = attempt(lambda: _named(distribution)[0])
+    name, _ = attempt(lambda: _distribution_names(distribution)[0])
     folder = Path(str(getattr(distribution, "_path", "unknown"))).name
     return name or canonical(folder.partition("-")[0])
 
@@ -331,12 +331,12 @@ def _name_of(distribution: Distribution) -> str:
 def _plugin_of(point: EntryPoint) -> Plugin:
     if point.dist is None:  # made by hand, not found in a distribution
         return Plugin(point.name, canonical(point.module), "")
-    name, version, requires = _named(point.dist)
+    name, version, requires = _distribution_names(point.dist)
     return Plugin(point.name, name, version, requires=requires)
 
 
 @cache
-def _named(distribution: Distribution) -> tuple[str, str, str]:
+def _distribution_names(distribution: Distribution) -> tuple[str, str, str]:
     """Return name, version and required termsel: metadata are parsed whenever they are asked for.
     """
     metadata = distribution.metadata
@@ -429,7 +429,7 @@ def _plain(slot: Slot, implementation: pluggy.HookImpl, arguments: Arguments, ac
     def answer(*_args: Any, **_keywords: Any) -> list[Any] | None:
         """Return what one plugin gives for the hook; note its fault if it fails."""
         items, reason = slot.attempt(
-            lambda: accept(_called(implementation, slot.plugin, arguments)), seconds)
+            lambda: accept(_call_hook(implementation, slot.plugin, arguments)), seconds)
         if reason is not None:
             answers.faults.append((slot.plugin, reason))
         givers.gave(slot.plugin, items or ())
@@ -445,7 +445,7 @@ def _wrapper(slot: Slot, implementation: pluggy.HookImpl, arguments: Arguments, 
     def wrap(*_args: Any, **_keywords: Any) -> Generator[None, Any, Any]:
         """Run a plugin's wrapper around the others; if it fails, their answers stand."""
         def begin() -> Generator[None, Any, Any]:
-            running: Generator[None, Any, Any] = _called(implementation, slot.plugin, arguments)
+            running: Generator[None, Any, Any] = _call_hook(implementation, slot.plugin, arguments)
             next(running)
             return running
 
@@ -455,7 +455,7 @@ def _wrapper(slot: Slot, implementation: pluggy.HookImpl, arguments: Arguments, 
         before = inner if implementation.wrapper else inner.get_result()
         outcome = None
         if running is not None:
-            outcome, reason = slot.attempt(partial(_ended, running, inner), seconds)
+            outcome, reason = slot.attempt(partial(_finish_wrapper, running, inner), seconds)
         if reason is not None:
             answers.faults.append((slot.plugin, f"as a wrapper: {reason}"))
         for items in outcome or ():
@@ -468,7 +468,7 @@ def _wrapper(slot: Slot, implementation: pluggy.HookImpl, arguments: Arguments, 
     return wrap
 
 
-def _ended(running: Generator[None, Any, Any], inner: Any) -> list[list[Any]] | None:
+def _finish_wrapper(running: Generator[None, Any, Any], inner: Any) -> list[list[Any]] | None:
     """Send a wrapper what it wraps; return what it makes of it, None where that is nothing."""
     old = not isinstance(inner, list)
     try:
@@ -483,7 +483,7 @@ def _ended(running: Generator[None, Any, Any], inner: Any) -> list[list[Any]] | 
     raise RuntimeError("it yields twice")
 
 
-def _called(implementation: pluggy.HookImpl, plugin: Plugin, arguments: Arguments) -> Any:
+def _call_hook(implementation: pluggy.HookImpl, plugin: Plugin, arguments: Arguments) -> Any:
     # Made for each plugin by itself, so that none changes what another one gets.
     return implementation.function(
         *(arguments[name](plugin) for name in implementation.argnames),

@@ -225,16 +225,18 @@ class Registry:
 
     def observers(self) -> list[Callable[[Progress], None]]:
         """Return the observers of runs that plugins have; one that fails is told, and left out."""
-        return [_kept(plugin, observe) for plugin, observe in self._unnamed("observers", listed)]
+        return [_failsafe_observer(plugin, observe) for plugin,
+                observe in self._provided_without_names("observers", listed)]
 
     def parts(self) -> list[parts.Part]:
         """Return the parts that plugins have; a plugin that fails is told."""
         # Asked once: plugins are imported for it.
         if self._parts is None:
-            self._parts = [extension for _, extension in self._unnamed("parts", _parts)]
+            self._parts = [extension for _,
+                           extension in self._provided_without_names("parts", _require_parts)]
         return self._parts
 
-    def _unnamed(self, plural: str, accept: Taken) -> list[tuple[Plugin, Any]]:
+    def _provided_without_names(self, plural: str, accept: Taken) -> list[tuple[Plugin, Any]]:
         """Return what a hook gives of what has no name, with the plugins; warn of those that fail.
         """
         hook = f"{PROJECT}_{plural}"
@@ -245,7 +247,7 @@ class Registry:
 
     def notify_run_finished(self, result: Result) -> None:
         """Give every plugin that asks for it a copy of a finished run; warn of those that fail."""
-        answers = call(LISTENER, self._loader.slots_of(LISTENER), _nothing,
+        answers = call(LISTENER, self._loader.slots_of(LISTENER), _accept_nothing,
                        # A copy for each: no plugin may change what another one, or the user, gets.
                        {"result": lambda _plugin: deepcopy(result)}, HEARD)
         for plugin, reason in answers.faults:
@@ -289,7 +291,7 @@ class Registry:
         # Commands come as click groups that the hooks fill.
         groups: dict[Plugin, click.Group] = {}
         hook = f"{PROJECT}_commands"
-        answers = call(hook, self._loader.slots_of(hook), _nothing,
+        answers = call(hook, self._loader.slots_of(hook), _accept_nothing,
                        {"cli": lambda plugin: groups.setdefault(plugin, click.Group())})
         entries = []
         for plugin, group in groups.items():
@@ -323,7 +325,8 @@ def _warn(plugin: Plugin, text: str) -> None:
     print(printable(f"Warning: {plugin.remark(text)}"), file=sys.stderr)
 
 
-def _kept(plugin: Plugin, observe: Callable[[Progress], None]) -> Callable[[Progress], None]:
+def _failsafe_observer(plugin: Plugin, observe: Callable[[Progress], None]) -> Callable[[Progress],
+                                                                                        None]:
     """Return an observer of a plugin that ends with its first failure, and not the run."""
     failed = False
 
@@ -339,12 +342,12 @@ def _kept(plugin: Plugin, observe: Callable[[Progress], None]) -> Callable[[Prog
     return observed
 
 
-def _nothing(_value: Any) -> list[Any]:
+def _accept_nothing(_value: Any) -> list[Any]:
     """Return what a hook gives that returns nothing."""
     return []
 
 
-def _parts(value: Any) -> list[Any]:
+def _require_parts(value: Any) -> list[Any]:
     """Return a list of parts; TypeError for anything else."""
     extensions = listed(value)
     if wrong := [extension for extension in extensions if not isinstance(extension, parts.Part)]:

@@ -12,7 +12,7 @@ def fits(requirement: str, version: str) -> bool:
     By the numbers alone: a development version counts as its release. What is no requirement of
     versions, such as an address, is satisfied.
     """
-    return all(_satisfied(clause.strip(), version) for clause in requirement.split(","))
+    return all(_is_satisfied(clause.strip(), version) for clause in requirement.split(","))
 
 
 _CLAUSE = re.compile(r"(>=|<=|==|!=|~=|>|<)\s*v?(\d+(?:\.\d+)*)(\.\*)?")
@@ -21,7 +21,7 @@ _COMPARED = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operat
              "==": operator.eq, "!=": operator.ne}
 
 
-def _satisfied(clause: str, version: str) -> bool:
+def _is_satisfied(clause: str, version: str) -> bool:
     """Return whether a version meets a clause such as >=0.3; an unknown clause is met."""
     found = _CLAUSE.match(clause)
     if found is None:

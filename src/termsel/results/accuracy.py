@@ -54,21 +54,22 @@ def accuracy_lines(record: Record) -> list[str]:
     predicted = record.predicted if accuracy and not predicted_first(record) else \
         expected_of(record)
     if accuracy is None:
-        return _unverified(record, predicted)
+        return _accuracy_without_check_points(record, predicted)
     if predicted is None:
-        return [_measured(accuracy), *_doubts(record, accuracy)]
+        return [_rmse_at_check_points(accuracy), *_doubts(record, accuracy)]
     if predicted_first(record):
         # Points without errors leave a prediction of rounding, whose ratio to anything means
         # nothing.
         if predicted.high < _ROUNDING_PX:
-            return ["the points fit exactly", _measured(accuracy), *_doubts(record, accuracy)]
+            return ["the points fit exactly", _rmse_at_check_points(accuracy),
+                    *_doubts(record, accuracy)]
         # The line above says that this is an RMSE, and the level of the interval.
-        measured = _measured(accuracy).replace("RMSE at", "at")
+        measured = _rmse_at_check_points(accuracy).replace("RMSE at", "at")
         level = f"[{100 * predicted.level:.0f} %: "
         return [_prediction(predicted),
                 f"{measured.replace(level, '[')}{_agreement(accuracy, predicted)}",
                 *_doubts(record, accuracy)]
-    return [_measured(accuracy), f"{PREDICTED_BY} {rounded(predicted.rmse)} px"
+    return [_rmse_at_check_points(accuracy), f"{PREDICTED_BY} {rounded(predicted.rmse)} px"
             f"{_agreement(accuracy, predicted)}", *_doubts(record, accuracy)]
 
 
@@ -112,7 +113,7 @@ def _between_points(record: Record) -> list[str]:
         f"the model meets the points of the lattice to {rounded(control.total)} px", unknown]
 
 
-def _unverified(record: Record, predicted: Predicted | None) -> list[str]:
+def _accuracy_without_check_points(record: Record, predicted: Predicted | None) -> list[str]:
     """Return what is known without independent check points."""
     counts = record.data.counts
     if is_exact(record):
@@ -138,7 +139,7 @@ def _prediction(predicted: Predicted) -> str:
             f"{interval(predicted.low, predicted.high, 100 * predicted.level)}")
 
 
-def _measured(accuracy: Accuracy) -> str:
+def _rmse_at_check_points(accuracy: Accuracy) -> str:
     """Return the RMSE at the independent check points, with its interval."""
     image = accuracy.image
     ground = f" / {rounded(accuracy.ground.total)} m" if accuracy.ground else ""

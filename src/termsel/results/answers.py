@@ -69,11 +69,12 @@ def document(record: Record, view: View | None = None, picture: str = "",
         # A section without an answer has no heading either.
         (*(Section(title, blocks) for title, answer in (
             ("How accurate is it?", _accuracy(record)),
-            ("Is it better than conventional models?", _compared(record, view)),
+            ("Is it better than conventional models?", _answer_on_conventional(record, view)),
             ("Which points or lines are outliers?", _bad(record, view)),
             ("In which areas is the model uncertain?", _weak(view)),
             ("Which terms and features were selected, and why?", selected(record, view, picture)),
-            ("How can it be repeated?", _repeated(record, view))) if (blocks := tuple(answer))),
+            ("How can it be repeated?",
+             _answer_on_repeating(record, view))) if (blocks := tuple(answer))),
          *further))
 
 
@@ -117,7 +118,7 @@ def _accuracy(record: Record) -> Iterator[Block]:
                                       f"choice{_seen_before(accuracy)}")
         if record.accuracy_without:
             yield from _figures(record.accuracy_without, f", without {contradicting(record)}")
-        if predicted and (_of_all(record) or not predicted_first(record)):
+        if predicted and (_predicts_fit_to_all(record) or not predicted_first(record)):
             yield _prediction(predicted)
     if (strategy := record.strategy) and strategy.predicted is not None:
         # Compared as they are shown: a difference that nobody sees needs no sentence.
@@ -157,10 +158,10 @@ def statement(record: Record) -> str:
         return f"{text[:1].upper()}{text[1:]}."
     # The surer figure comes first: readers quote the first one.
     if expected and predicted_first(record):
-        sentences.append(_prediction(expected, exported=_of_all(record),
+        sentences.append(_prediction(expected, exported=_predicts_fit_to_all(record),
                                      lattice=lattice_of(record) is not None))
     if accuracy:
-        sentences += _measured(record, accuracy)
+        sentences += _independent_rmse(record, accuracy)
     elif lattice_of(record) is not None:
         sentences.append("The points of the lattice were computed, so the accuracy of the product "
                          "is not known.")
@@ -172,12 +173,12 @@ def statement(record: Record) -> str:
     return " ".join(sentences)
 
 
-def _of_all(record: Record) -> bool:
+def _predicts_fit_to_all(record: Record) -> bool:
     """Return whether the prediction is for the fit to all points."""
     return record.final_fit is not None and record.final_fit.predicted is not None
 
 
-def _measured(record: Record, accuracy: Accuracy) -> Iterator[str]:
+def _independent_rmse(record: Record, accuracy: Accuracy) -> Iterator[str]:
     """Yield the RMSE at independent check points, and whether they are still independent."""
     yield _rmse_on(accuracy)
     if record.accuracy_without is not None:
@@ -262,7 +263,7 @@ def _distances(of: InImage | OnGround, unit: str, first: float, second: float) -
         of.total, first, second, of.maximum, of.ce90))
 
 
-def _compared(record: Record, view: View | None) -> Iterator[Block]:
+def _answer_on_conventional(record: Record, view: View | None) -> Iterator[Block]:
     """Yield what answers "Is it better than a conventional model?"."""
     yield record.judgement
     yield from map(Note, record.notes)
@@ -381,7 +382,7 @@ def _made_by(record: Record) -> str:
             f"{record.versions['termsel']}")
 
 
-def _repeated(record: Record, view: View | None) -> Iterator[Block]:
+def _answer_on_repeating(record: Record, view: View | None) -> Iterator[Block]:
     """Yield how the run is repeated."""
     if view is None:
         yield Detail(f"{'' if record.strategy else f'Problem {record.problem}. '}"

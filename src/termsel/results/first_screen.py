@@ -70,7 +70,7 @@ def first_screen(record: Record) -> list[Fact]:
 
 def _facts(record: Record, brief: int) -> list[Fact]:
     """Return all facts but cautions: briefly (1) without second lines, or (2) counting outliers."""
-    compared = list(_compared(record))
+    compared = list(_comparison_facts(record))
     search = list(_search(record))
     # The first line of a topic says it, further ones explain.
     if brief:
@@ -78,15 +78,15 @@ def _facts(record: Record, brief: int) -> list[Fact]:
         search = search[:1]
     outliers = _counted_outliers(record) if brief == 2 else outlier_lines(record)
     return [*_data(record, brief), Fact(""), Fact(_model(record), "Model"),
-            *_labelled("Accuracy", accuracy_lines(record)), *_labelled("Outliers", outliers),
-            *_labelled("Compared", compared), *_labelled("Search", search)]
+            *_label_facts("Accuracy", accuracy_lines(record)), *_label_facts("Outliers", outliers),
+            *_label_facts("Compared", compared), *_label_facts("Search", search)]
 
 
 def _total_height(facts: Sequence[Fact]) -> int:
     return sum(map(_height, facts))
 
 
-def _labelled(label: str, lines: Iterable[str]) -> Iterator[Fact]:
+def _label_facts(label: str, lines: Iterable[str]) -> Iterator[Fact]:
     """Yield one fact for each line; the first has the label."""
     for i, line in enumerate(lines):
         yield Fact(line, label if i == 0 else " ")
@@ -121,7 +121,7 @@ def _data(record: Record, brief: int) -> Iterator[Fact]:
     origin = f"; image coordinates from {read.image_origin}" if read.image_origin else ""
     yield Fact(f"{cut(names, _SOURCE)}: {features}{heights}, {crs}{image_in_file}{unit}{origin}")
     yield Fact(roles_of(record))
-    unused = _not_used(read)
+    unused = _count_unused(read)
     if unused and not brief:
         yield Fact(unused)
 
@@ -143,7 +143,7 @@ def _number(number: int, noun: str) -> str:
     return counted(number, noun) if number else f"no {noun}s"
 
 
-def _not_used(read: WhatWasRead) -> str:
+def _count_unused(read: WhatWasRead) -> str:
     """Return how many features take no part, and why."""
     reasons = [f"{len(ids)} {reason}" for reason, ids in read.left_out.items()]
     # Reasons with their counts, as long as they fit into a line.
@@ -238,23 +238,23 @@ def share(selected: int, offered: int) -> str:
 def outlier_lines(record: Record) -> list[str]:
     """Return the worst outliers of each kind: rejected, in use, and independent check points."""
     # An outlier that is in use weakens the model, one that was rejected does not.
-    rejected, used, independent = groups = _grouped(record)
+    rejected, used, independent = groups = _group_outliers(record)
     if lattice_of(record) is not None:
         return ["not tested: the points of a lattice were computed"]
     if not any(groups):
-        return [_none_detected(record)]
+        return [_no_outlier_detected(record)]
     noun = record.data.counts.word
     lines = []
     if rejected:
         outcome = "not selected by the search, which could select them" \
             if were_selectable(record) else "rejected"
-        lines.append(f"{_counted(rejected, noun)} {outcome}: {_listed(rejected)}")
+        lines.append(f"{_count_in_words(rejected, noun)} {outcome}: {_list_worst(rejected)}")
     if used:
-        lines.append(f"{_counted(used, noun)} still in use: {_listed(used)}")
+        lines.append(f"{_count_in_words(used, noun)} still in use: {_list_worst(used)}")
     if independent:
         lines.append(f"{counted(len(independent), 'independent check point')} "
                      f"{'contradicts' if len(independent) == 1 else 'contradict'} the model: "
-                     f"{_listed(independent)}")
+                     f"{_list_worst(independent)}")
     # A longer option would not fit into the command that follows.
     if len(off_option(record)) > _LONGEST_OPTION:
         lines[-1] += "; --verbose shows the option that leaves them out"
@@ -263,7 +263,7 @@ def outlier_lines(record: Record) -> list[str]:
 
 def _counted_outliers(record: Record) -> list[str]:
     """Return how many outliers there are in one line, which takes the place of `outlier_lines`."""
-    rejected, used, independent = _grouped(record)
+    rejected, used, independent = _group_outliers(record)
     if not any((rejected, used, independent)):
         return outlier_lines(record)
     counts = []
@@ -276,11 +276,11 @@ def _counted_outliers(record: Record) -> list[str]:
     return [f"{', '.join(counts)}; --verbose lists them"]
 
 
-def _counted(outliers: Sequence[Outlier], noun: str) -> str:
+def _count_in_words(outliers: Sequence[Outlier], noun: str) -> str:
     return counted(len(outliers), noun.removesuffix("s"))
 
 
-def _none_detected(record: Record) -> str:
+def _no_outlier_detected(record: Record) -> str:
     """Return that no outlier was detected, and why this may say little."""
     test = record.blunder_test
     accuracy = record.accuracy
@@ -309,7 +309,7 @@ def _none_detected(record: Record) -> str:
     return f"none among {features}"
 
 
-def _grouped(record: Record) -> tuple[list[Outlier], list[Outlier], list[Outlier]]:
+def _group_outliers(record: Record) -> tuple[list[Outlier], list[Outlier], list[Outlier]]:
     """Return outliers that were rejected, those in use, and independent ones; the worst first."""
     worst = sorted(record.outliers, key=lambda outlier: -outlier.error)
     # Independent check points were never in use, so that they are not rejected either.
@@ -321,11 +321,11 @@ def _grouped(record: Record) -> tuple[list[Outlier], list[Outlier], list[Outlier
 
 def are_all_named(record: Record) -> bool:
     """Return whether the first screen names all outliers, with the option that leaves them out."""
-    return max(map(len, _grouped(record))) <= _MAX_OUTLIERS_NAMED and \
+    return max(map(len, _group_outliers(record))) <= _MAX_OUTLIERS_NAMED and \
         len(off_option(record)) <= _LONGEST_OPTION
 
 
-def _listed(outliers: Sequence[Outlier]) -> str:
+def _list_worst(outliers: Sequence[Outlier]) -> str:
     """Return the worst outliers with their errors; the unit stands at the first."""
     texts = []
     for i, outlier in enumerate(outliers[:_MAX_OUTLIERS_NAMED]):
@@ -337,7 +337,7 @@ def _listed(outliers: Sequence[Outlier]) -> str:
     return ", ".join(texts)
 
 
-def _compared(record: Record) -> Iterator[str]:
+def _comparison_facts(record: Record) -> Iterator[str]:
     """Yield the best rival that needs no search, and the conventional fit."""
     if not record.feasible:
         return
@@ -355,7 +355,7 @@ def _against(record: Record, rival: BaselineRow) -> Iterator[str]:
         return
     name = "automatic choice without a search" if record.strategy is None else label_of(rival.name)
     verdict = _verdict(record, own_rmse, rival_rmse)
-    if record.strategy is not None and not _by_points(record):
+    if record.strategy is not None and not _points_compare_better(record):
         # Each figure once: that of this model may be the prediction above, and both may be alike.
         shown = "" if record.predicted is None else rounded(record.predicted.rmse)
         own = "" if rounded(own_rmse) in (shown, rounded(rival_rmse)) else \
@@ -366,10 +366,10 @@ def _against(record: Record, rival: BaselineRow) -> Iterator[str]:
     else:
         yield f"{name} {rounded(rival_rmse)} px: {verdict}"
     if _shift_of(record) and rival.name != AS_DELIVERED:
-        yield from _as_delivered(record)
+        yield from _rmse_as_delivered(record)
 
 
-def _as_delivered(record: Record) -> Iterator[str]:
+def _rmse_as_delivered(record: Record) -> Iterator[str]:
     """Yield the RMSE of the vendor's RPC without a correction."""
     for row in record.baselines:
         size = row.rmse.independent.total or row.predicted
@@ -381,7 +381,7 @@ def _comparable(record: Record, rival: BaselineRow) -> tuple[float | None, float
     """Return the RMSE of this fit and of a rival that may be compared [px]."""
     # What both fits predict for features left out, or what both have at points that none has seen.
     strategy = record.strategy
-    if strategy and not _by_points(record):
+    if strategy and not _points_compare_better(record):
         # Of both the model alone: the prediction of the whole choice is larger than either.
         return next((row.predicted for row in strategy.candidates
                      if row.name == strategy.chosen), None), rival.predicted
@@ -390,7 +390,7 @@ def _comparable(record: Record, rival: BaselineRow) -> tuple[float | None, float
             rival.rmse.independent.total)
 
 
-def _by_points(record: Record) -> bool:
+def _points_compare_better(record: Record) -> bool:
     """Return whether independent check points compare models more surely than cross-validation."""
     # Points that contradict all others say nothing of either model.
     accuracy = record.accuracy_without or record.accuracy
@@ -447,7 +447,7 @@ def _warnings(record: Record) -> list[str]:
     """Return what is urgent, then each note that nothing above it says."""
     accuracy = record.accuracy
     reused = accuracy is not None and bool(reused_points(accuracy))
-    heights = _on_heights(record)
+    heights = _caution_on_heights(record)
     read = record.data.read
     doubt = read.doubt.casefold() if read else ""
     is_exact_said = is_exact(record)
@@ -458,7 +458,7 @@ def _warnings(record: Record) -> list[str]:
                                 and not (reused and " no longer independent: " in note))]
 
 
-def _on_heights(record: Record) -> str:
+def _caution_on_heights(record: Record) -> str:
     """Return that the heights of the DEM are not those of the control, or ""."""
     doubt = record.data.read.height_doubt if record.data.read else ""
     if not doubt:
@@ -521,7 +521,7 @@ def _urgent(record: Record) -> Iterator[str]:
     if read and read.mixed:
         doubt = f"{read.mixed[:1].lower()}{read.mixed[1:]}"
         yield f"correct the coordinates first: {_first_sentence(doubt)}"
-    if heights := _on_heights(record):
+    if heights := _caution_on_heights(record):
         # Without the name of the raster and how the difference was found it fits into a line.
         difference, _, found_by = heights.rpartition(" (median of ")
         yield f"the DEM {difference[difference.rindex(' is ') + 1:]}{found_by.partition(')')[2]}"

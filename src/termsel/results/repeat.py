@@ -20,7 +20,7 @@ def command(record: Record) -> str:
     has the vendor's RPC, so that the files they came from are not needed.
     `not_by_command` tells the runs that no command can repeat.
     """
-    return " \\\n    ".join(["termsel run", *_parts(record)])
+    return " \\\n    ".join(["termsel run", *_command_arguments(record)])
 
 
 def not_by_command(record: Record) -> str:
@@ -36,7 +36,7 @@ def not_by_command(record: Record) -> str:
     return ""
 
 
-def _parts(record: Record) -> Iterator[str]:
+def _command_arguments(record: Record) -> Iterator[str]:
     """Yield the arguments of the command that repeats a run."""
     counts = record.data.counts
     # The problem stands first, as all else depends on it.

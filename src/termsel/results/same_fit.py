@@ -98,7 +98,7 @@ def fit_of_record(model: SensorModel, control: FeatureSet, scaling: Scaling, use
     # As every fit does: the model then knows its place on Earth.
     model = model.prepared(scaling, control.crs)
     terms = np.array([name in coefficients for name in model.terms], dtype=bool)
-    values = _by_term(model, coefficients, 0.0)
+    values = _array_of_terms(model, coefficients, 0.0)
     term_correlations = None
     if estimator.least_squares:
         iterated = getattr(estimator, "iterated", True)
@@ -119,7 +119,7 @@ def fit_of_record(model: SensorModel, control: FeatureSet, scaling: Scaling, use
     # The figures of the record, whatever the rounding of this machine.
     adjustment = Adjustment(
         coefficients=values,
-        deviations=_by_term(model, deviations, 0.0 if estimator.least_squares else np.nan),
+        deviations=_array_of_terms(model, deviations, 0.0 if estimator.least_squares else np.nan),
         n_terms=figures.terms, n_equations=figures.equations, rank=figures.rank,
         condition=np.inf if figures.condition is None else figures.condition,
         sigma0=number(figures.sigma0) / scaling.image_scale, correlations=term_correlations,
@@ -128,8 +128,8 @@ def fit_of_record(model: SensorModel, control: FeatureSet, scaling: Scaling, use
                stored_held_out=held_out)
 
 
-def _by_term(model: SensorModel, values: Mapping[str, float | None],
-             default: float) -> FloatArray:
+def _array_of_terms(model: SensorModel, values: Mapping[str, float | None],
+                    default: float) -> FloatArray:
     """Return values by term as an array; NaN for None."""
     return np.array([number(values.get(name, default)) for name in model.terms])
 

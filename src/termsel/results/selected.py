@@ -33,7 +33,7 @@ def selected(record: Record, view: View | None, picture: str) -> Iterator[Block]
     yield from _front(record, view, picture)
     if record.sensor:
         yield Detail(TableBlock("Sensor", ("", "value", "unit"), [
-            (figure_of_sensor.name, _of_unit(figure_of_sensor), figure_of_sensor.unit)
+            (figure_of_sensor.name, _figure_with_unit(figure_of_sensor), figure_of_sensor.unit)
             for figure_of_sensor in record.sensor]))
     yield from map(Detail, _coefficients(record))
     if view is not None:
@@ -57,14 +57,14 @@ _PLACE_DECIMALS = 8
 """Decimals of a longitude or latitude [deg]: a millimetre."""
 
 
-def _of_unit(sensor: SensorFigure) -> str:
+def _figure_with_unit(sensor: SensorFigure) -> str:
     """Return a figure of a sensor with the decimals of its unit."""
     is_place = sensor.unit == "deg" and sensor.name.startswith("projection centre")
     decimals = _PLACE_DECIMALS if is_place else _DECIMALS.get(sensor.unit, 4)
     return f"{sensor.value:.{decimals}f}"
 
 
-def _iterated(adjustment: AdjustmentFigures) -> str:
+def _iteration_in_words(adjustment: AdjustmentFigures) -> str:
     """Return how the iteration of a fit ended, after a comma; "" where there was none."""
     if adjustment.steps is None:
         return ""
@@ -98,7 +98,7 @@ def _search(record: Record) -> Iterator[Block]:
                "other control and selection points.")
     yield (f"Selected: {share(selection.n_features, offered.n_features)} control features, "
            f"{share(selection.n_terms, offered.n_terms)} terms; "
-           f"redundancy {record.adjustment.redundancy}{_iterated(record.adjustment)}")
+           f"redundancy {record.adjustment.redundancy}{_iteration_in_words(record.adjustment)}")
     if parameters := selection.parameters:
         yield "Parameters: " + ", ".join(
             f"{name} {value:.6g}" if isinstance(value, float) else f"{name} {value}"

@@ -32,11 +32,11 @@ def text_of(document: Document, *, with_details: bool = True, titled: bool = Tru
 
     `titled` is whether it begins with the title, and not with the facts.
     """
-    lines = [document.title, *_wrapped(document.subtitle)] if titled else []
+    lines = [document.title, *_wrap_text(document.subtitle)] if titled else []
     # Details are what --verbose adds; figures have no text.
-    lines += _lines(_shown(document.facts, with_details))
+    lines += _lines(_blocks_shown(document.facts, with_details))
     for section in document.sections:
-        if blocks := list(_shown(section.blocks, with_details)):
+        if blocks := list(_blocks_shown(section.blocks, with_details)):
             lines += ["", section.title, *_lines(blocks)]
     # File names may have what a terminal would obey.
     return printable("\n".join(lines)) + "\n"
@@ -47,11 +47,11 @@ def first_screen_of(document: Document) -> str:
     return printable("\n".join(_lines(document.facts))) + "\n"
 
 
-def _shown(blocks: Iterable[Block], with_details: bool) -> Iterator[Block]:
+def _blocks_shown(blocks: Iterable[Block], with_details: bool) -> Iterator[Block]:
     """Yield the blocks that a text shows."""
     for block in blocks:
         if isinstance(block, Detail):
-            yield from _shown([block.block] if with_details else [], with_details)
+            yield from _blocks_shown([block.block] if with_details else [], with_details)
         elif not (isinstance(block, Figure) or (isinstance(block, TableBlock) and block.folded)):
             yield block
 
@@ -72,15 +72,15 @@ def _block(block: Block) -> Iterator[str]:
     if isinstance(block, TableBlock):
         yield from _table(block)
     elif isinstance(block, Note):
-        yield from _wrapped(f"{block.label}: {block.text}", 4)
+        yield from _wrap_text(f"{block.label}: {block.text}", 4)
     elif isinstance(block, Fact):
         yield from _fact(block)
     elif isinstance(block, Names):
-        yield from _wrapped(f"{block.title}: {' '.join(block.names)}", 2)
+        yield from _wrap_text(f"{block.title}: {' '.join(block.names)}", 2)
     elif isinstance(block, Code):
         yield from block.text.splitlines()
     elif isinstance(block, str | Statement):
-        yield from _wrapped(block if isinstance(block, str) else block.text)
+        yield from _wrap_text(block if isinstance(block, str) else block.text)
 
 
 def _fact(fact: Fact) -> Iterator[str]:
@@ -90,7 +90,7 @@ def _fact(fact: Fact) -> Iterator[str]:
                                  subsequent_indent=" " * _LABEL, break_on_hyphens=False)
     else:
         # A fact without text is an empty line on purpose.
-        yield from _wrapped(fact.text, 4) or [""]
+        yield from _wrap_text(fact.text, 4) or [""]
 
 
 def _table(table: TableBlock) -> Iterator[str]:
@@ -102,14 +102,14 @@ def _table(table: TableBlock) -> Iterator[str]:
         return
     columns = [i for i in range(len(table.columns)) if i not in table.page_only]
     rows = [[row[i] for i in columns] for row in (table.columns, *table.rows)]
-    lines = list(_aligned(rows, map(table.has_words, columns)))
+    lines = list(_align_rows(rows, map(table.has_words, columns)))
     if table.marked is not None:
         lines = [("-> " if i == table.marked + 1 else "   ") + line
                  for i, line in enumerate(lines)]
     yield from lines
 
 
-def _aligned(rows: Sequence[Sequence[str]], are_words: Iterable[bool]) -> Iterator[str]:
+def _align_rows(rows: Sequence[Sequence[str]], are_words: Iterable[bool]) -> Iterator[str]:
     """Yield rows in columns: words begin at the left, numbers end at the right."""
     # A column is as wide as its widest cell, unless that is a list of names.
     widths = [min(max(map(len, column)), _WIDEST_COLUMN) for column in zip(*rows, strict=True)]
@@ -120,5 +120,5 @@ def _aligned(rows: Sequence[Sequence[str]], are_words: Iterable[bool]) -> Iterat
         yield "  ".join(cells).rstrip()
 
 
-def _wrapped(text: str, indent: int = 0) -> list[str]:
+def _wrap_text(text: str, indent: int = 0) -> list[str]:
     return textwrap.wrap(text, _WIDTH, subsequent_indent=" " * indent, break_on_hyphens=False)

@@ -93,11 +93,11 @@ def chart_rows(rows: list[dict[str, Any]]) -> Any:
     values = []
     for row in rows:
         values.append({key: value for key, value in row.items() if value is not False})
-    return _shared()(values=values)
+    return _shared_data_class()(values=values)
 
 
 @cache
-def _shared() -> Any:
+def _shared_data_class() -> Any:
     """Return the class of data that copies of a chart share: copies of all rows take seconds."""
 
     class Shared(require_altair().InlineData):  # type: ignore[misc]

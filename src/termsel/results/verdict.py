@@ -116,7 +116,7 @@ def too_few_to_test(test: BlunderTest, errors: float) -> bool:
     return test.limit is None or test.limit > max(test.extent, TESTABLE_RATIO * errors)
 
 
-def _none_detected(test: BlunderTest | None, errors: float) -> str:
+def _none_detected_in_words(test: BlunderTest | None, errors: float) -> str:
     """Return that no outlier was detected, and how large one may be, given the size of errors."""
     if test is None:
         return "Outliers were not tested."
@@ -146,7 +146,7 @@ def verdict_table(record: Record) -> Iterator[Block]:
     else:
         yield "Outliers were tested in an earlier run, not here." \
             if record.options.data.get("tested") else \
-            _none_detected(record.blunder_test, size_of_errors(record))
+            _none_detected_in_words(record.blunder_test, size_of_errors(record))
     certainties = {outlier.certainty for outlier in outliers}
     if "probable" in certainties:
         yield "A probable blunder is more likely wrong than right: look at it in the image."

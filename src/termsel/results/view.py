@@ -64,7 +64,7 @@ class View:
     @property
     def partly(self) -> str:
         """Which residuals are shown, in a sentence; "" where all are."""
-        if self._drawn is self.residuals:
+        if self._drawn_residuals is self.residuals:
             return ""
         return (f"Shown are the {LARGEST_RESIDUALS:,} largest of {self.count:,} residuals, and one "
                 f"in {self._step:,} of all. The file residuals.csv has all of them.")
@@ -74,7 +74,7 @@ class View:
         """Residuals with their places in the image: line, sample, dl, ds [px]."""
         rows = []
         # Rows of charts are kept short: a page holds thousands.
-        for r, (line, sample) in zip(self._drawn, self._seen, strict=True):
+        for r, (line, sample) in zip(self._drawn_residuals, self._seen, strict=True):
             if np.isfinite([line, sample, r.distance]).all():
                 rows.append({**self._named(r), "line": _short(line), "sample": _short(sample),
                              "dl": _short(r.line, 4), "ds": _short(r.sample, 4)})
@@ -83,10 +83,11 @@ class View:
     @cached_property
     def on_ground(self) -> list[Row]:
         """Residuals with their places on the ground: x, y, dx, dy in the unit of the CRS."""
-        offsets = errors_on_ground(self.fit, self._drawn)
-        metres = in_metres(self.features.crs, self._drawn.ground, offsets)
+        offsets = errors_on_ground(self.fit, self._drawn_residuals)
+        metres = in_metres(self.features.crs, self._drawn_residuals.ground, offsets)
         rows = []
-        for i, (r, (dx, dy)) in enumerate(zip(self._drawn, offsets.tolist(), strict=True)):
+        for i, (r,
+                (dx, dy)) in enumerate(zip(self._drawn_residuals, offsets.tolist(), strict=True)):
             if np.isfinite([dx, dy]).all():
                 away = None if metres is None else _short(float(np.hypot(*metres[i])), 4)
                 rows.append({**self._named(r), "x": _short(r.x, 12), "y": _short(r.y, 12),
@@ -98,7 +99,8 @@ class View:
         """Features by their largest residual, the largest first."""
         largest: dict[str, Row] = {}
         # A feature of several vertices has the largest of their residuals.
-        for i in self._by_length[:None if self._drawn is self.residuals else LARGEST_RESIDUALS]:
+        for i in self._residuals_by_length[:None if self._drawn_residuals is self.residuals
+                                           else LARGEST_RESIDUALS]:
             if np.isfinite(self.residuals[i].distance):
                 largest.setdefault(self.residuals[i].id, self._named(self.residuals[i]))
         return list(largest.values())
@@ -156,8 +158,9 @@ class View:
     @cached_property
     def control(self) -> list[Row]:
         """Control in use as measured in the image: line, sample [px]."""
-        step = max(1, len(self._in_use) // DRAWN)
-        return [{"line": line, "sample": sample} for line, sample in self._in_use[::step].tolist()]
+        step = max(1, len(self._control_in_image) // DRAWN)
+        return [{"line": line, "sample": sample} for line,
+                sample in self._control_in_image[::step].tolist()]
 
     @cached_property
     def hull(self) -> list[Row]:
@@ -165,8 +168,9 @@ class View:
 
         None of places on one straight line.
         """
-        around = hull(self._in_use)
-        return [{"i": i, "line": float(self._in_use[v, 0]), "sample": float(self._in_use[v, 1])}
+        around = hull(self._control_in_image)
+        return [{"i": i, "line": float(self._control_in_image[v, 0]),
+                 "sample": float(self._control_in_image[v, 1])}
                 for i, v in enumerate(around + around[:1])]
 
     @cached_property
@@ -193,7 +197,8 @@ class View:
         """Residuals in the image by all members of the front: dls, dss [`unit`], one a member."""
         unit = self.unit
         rows = []
-        for i, r, (line, sample) in zip(self._which, self._drawn, self._seen, strict=True):
+        for i, r, (line, sample) in zip(self._which, self._drawn_residuals, self._seen,
+                                        strict=True):
             of_members = [residuals[i] for residuals in self._by_member]
             values = [line, sample]
             for residual in of_members:
@@ -234,7 +239,7 @@ class View:
         return self.residuals.ground
 
     @cached_property
-    def _by_length(self) -> list[int]:
+    def _residuals_by_length(self) -> list[int]:
         """The residuals, the largest first, unknown ones last."""
         lengths = np.array([r.distance for r in self.residuals])
         # NaN is last in any order; a stable sort keeps that of the file among equal ones.
@@ -252,10 +257,10 @@ class View:
     def _which(self) -> list[int]:
         """Which residuals are drawn."""
         regular = range(0, len(self.residuals), self._step)
-        return sorted({*regular, *self._by_length[:LARGEST_RESIDUALS]})
+        return sorted({*regular, *self._residuals_by_length[:LARGEST_RESIDUALS]})
 
     @cached_property
-    def _drawn(self) -> Residuals:
+    def _drawn_residuals(self) -> Residuals:
         """Residuals that are drawn."""
         return self.residuals if self._step == 1 else Residuals(
             (self.residuals[i] for i in self._which), self.residuals.crs)
@@ -268,10 +273,11 @@ class View:
         measured = dict(zip(self.features.points.ids, self.features.points.image.tolist(),
                             strict=True))
         return [measured[r.id] if r.kind == "point" else computed for r, computed in zip(
-            self._drawn, self.fit.project(self._drawn.ground).tolist(), strict=True)]
+            self._drawn_residuals, self.fit.project(self._drawn_residuals.ground).tolist(),
+            strict=True)]
 
     @cached_property
-    def _in_use(self) -> FloatArray:
+    def _control_in_image(self) -> FloatArray:
         """Places of the control in use in the image, shape (n, 2)."""
         # The refit to all points has no points left to show as independent.
         original = self.fit.original or self.fit

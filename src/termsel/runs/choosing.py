@@ -183,7 +183,7 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
                             request.features.noise, held_out=own.get(method.name), among=len(own),
                             is_asked_for=auto.is_one_method)
 
-    rpc_unused, rpc_correction = _on_rpc(request, data, auto, choice.chosen)
+    rpc_unused, rpc_correction = _notes_on_rpc(request, data, auto, choice.chosen)
     strategy = _strategy(choice, errors, predicted, data, clean, rpc_unused)
     interrupted = INTERRUPTED.format(min(watch.count, watch.methods), watch.methods) \
         if outcome.interrupted else ""
@@ -346,7 +346,7 @@ def _lines(fitted: Fit) -> list[str]:
     return [f"None of the {counted(lines, 'line')} is used: the points alone predict better."]
 
 
-def _on_rpc(request: Request, data: FitData, auto: Auto, fitted: Fit) -> tuple[str, str]:
+def _notes_on_rpc(request: Request, data: FitData, auto: Auto, fitted: Fit) -> tuple[str, str]:
     """Return what is to be said first of an RPC that is given, and how it is corrected."""
     if data.features.rpc is None:
         return "", ""

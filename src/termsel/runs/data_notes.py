@@ -204,12 +204,13 @@ def notes_on_data(read: FeatureSet, observations: Observations, heights: bool,
     features = observations.together
     independent = observations.independent
     # In the order in which a reader would act: datum, repeated points, geometry, heights.
-    yield from _on_two_groups(features)
-    yield from _on_twins(features.points, independent)
-    yield from _on_one_line(features)
+    yield from _note_on_two_groups(features)
+    yield from _note_on_twins(features.points, independent)
+    yield from _note_on_one_line(features)
     if heights and len(features) > 1 and not features.without_height():
-        yield from _on_carriers(features, observations.carriers)
-        yield from (_on_flat(observations.joint, independent) if fitted is None else _on_flat(
+        yield from _note_on_carriers(features, observations.carriers)
+        yield from (_note_on_flat(observations.joint, independent) if fitted is None
+                    else _note_on_flat(
             FitData.of(fitted, False), observations.check.join_unchecked(independent)))
 
 
@@ -220,7 +221,7 @@ def notes_on_dem(features: FeatureSet, fitted: Fit) -> Iterator[str]:
         yield difference.sentence(pixels_of(difference, fitted.control, fitted.project))
 
 
-def _on_two_groups(features: FeatureSet) -> Iterator[str]:
+def _note_on_two_groups(features: FeatureSet) -> Iterator[str]:
     """Yield that points lie as if in two datums, with the other one's name if PROJ knows it."""
     groups = two_groups(features)
     if groups is None:
@@ -235,17 +236,17 @@ def _on_two_groups(features: FeatureSet) -> Iterator[str]:
            "the others.")
 
 
-def _on_one_line(features: FeatureSet) -> Iterator[str]:
+def _note_on_one_line(features: FeatureSet) -> Iterator[str]:
     """Yield where the features lie on one straight line, in the image or on the ground."""
     views = " and ".join(name for name, positions in (
-        ("in the image", features.image_vertices()), ("on the ground", _in_plan(features)))
+        ("in the image", features.image_vertices()), ("on the ground", _plan_coordinates(features)))
         if _is_narrow(positions))
     if views:
         yield (f"All {features.word} lie close to one straight line {views}. Nothing tells what "
                "the model does away from it: measure points there.")
 
 
-def _in_plan(features: FeatureSet) -> FloatArray:
+def _plan_coordinates(features: FeatureSet) -> FloatArray:
     """Return where features are on the ground, with one unit along all axes."""
     ground = features.ground_vertices()
     plan = plan_of(features.crs, ground)
@@ -262,7 +263,7 @@ def _is_narrow(positions: FloatArray) -> bool:
     return bool(length > 0.0 and width <= NARROW * length)
 
 
-def _on_carriers(features: FeatureSet, carrying: tuple[str, ...]) -> Iterator[str]:
+def _note_on_carriers(features: FeatureSet, carrying: tuple[str, ...]) -> Iterator[str]:
     """Yield which features heights rest on, where they are one or two."""
     if len(carrying) == 1 and len(features) < SOME:
         yield (f"With {len(features)} {features.word} nothing tells what a height does from an "
@@ -272,7 +273,7 @@ def _on_carriers(features: FeatureSet, carrying: tuple[str, ...]) -> Iterator[st
                "height does cannot be told from an error there, so the model is plane.")
 
 
-def _on_flat(control: FitData, points: Points) -> Iterator[str]:
+def _note_on_flat(control: FitData, points: Points) -> Iterator[str]:
     """Yield that heights tell nothing, and what they may do at other points."""
     vertices = control.features.ground_vertices()
     carrying = carriers(control)
@@ -310,13 +311,13 @@ def _rounded(size: float) -> str:
     return f"{size:.2g}" if size < 99.5 else f"{float(f'{size:.2g}'):,.0f}"
 
 
-def _on_twins(points: Points, independent: Points) -> Iterator[str]:
+def _note_on_twins(points: Points, independent: Points) -> Iterator[str]:
     """Yield what is to be said of points that repeat each other."""
     # Too close to tell anything apart: they are held out together.
     close_points = groups(points.ids, twins(points.ground))
     if close_points:
         yield (f"Points too close to each other to tell anything apart share a role and a fold: "
-               f"{_listed(close_points)}.")
+               f"{_list_in_words(close_points)}.")
     all_points = points.join_unchecked(independent)
     independent_ids = set(independent.ids)
     # Twins of independent points among control make these test what was fitted to them.
@@ -324,10 +325,10 @@ def _on_twins(points: Points, independent: Points) -> Iterator[str]:
               if 0 < len(independent_ids.intersection(group)) < len(group)]
     if shared:
         yield ("Independent check points at the places of control or selection points do not test "
-               f"the model: {_listed(shared)}.")
+               f"the model: {_list_in_words(shared)}.")
 
 
-def _listed(id_groups: list[tuple[str, ...]]) -> str:
+def _list_in_words(id_groups: list[tuple[str, ...]]) -> str:
     texts = ", ".join(" and ".join(group) for group in id_groups[:MAX_GROUPS_NAMED])
     if len(id_groups) <= MAX_GROUPS_NAMED:
         return texts

@@ -70,25 +70,25 @@ def fit(features: Any, model: str | type[SensorModel] | SensorModel | Method = "
     if isinstance(model, str):
         names = registry()
         if (model_type := names.known("models", model)) is not None:
-            return _fitted(cast(type[SensorModel], model_type)(**options), features)
+            return _fit_by_model(cast(type[SensorModel], model_type)(**options), features)
         method: Method | None = names.known("methods", model)
         if method is None:
             raise unknown_name("model", model, {*names.names("models"), *names.names("methods")},
                                names.hint(model, "models", "methods"))
         _refuse(options, f"method {model!r}")
-        return _by_method(method, features)
+        return _fit_by_method(method, features)
     if isinstance(model, Method):
         _refuse(options, f"method {model.name!r}")
-        return _by_method(model, features)
+        return _fit_by_method(model, features)
     resolved = registry().taken("models", model)
     if isinstance(resolved, SensorModel):
         _refuse(options, f"model {resolved.name!r}, which has its options already,")
-        return _fitted(resolved, features)
-    return _fitted(cast(type[SensorModel], resolved)(**options), features)
+        return _fit_by_model(resolved, features)
+    return _fit_by_model(cast(type[SensorModel], resolved)(**options), features)
 
 
 @one_blas_thread
-def _by_method(method: Method, features: FeatureSet) -> Fit:
+def _fit_by_method(method: Method, features: FeatureSet) -> Fit:
     """Return the fit by a method that the user names."""
     # Check and independent points stay out, as in a run without them.
     data = FitData.of(control_of(_with_heights(features)))
@@ -99,7 +99,7 @@ def _by_method(method: Method, features: FeatureSet) -> Fit:
         return replace(method.fit(data), method=method)
 
 
-def _fitted(model: SensorModel, features: FeatureSet) -> Fit:
+def _fit_by_model(model: SensorModel, features: FeatureSet) -> Fit:
     control = control_of(_with_heights(features) if model.uses_height else features)
     require_heights(model, control)
     return fit_all_terms(model, control)

@@ -131,7 +131,7 @@ def judge_choice(method: Method, predicted: float | None, rmse: Rmses,
             verdict = verdict_on_choice(measured.total, rival_rmse, best.name, among)
             sentences.append(f"There {title}, the best conventional model in cross-validation, has "
                              f"{_px(rival_rmse)}{deficient}: {verdict}.")
-            sentences += _in_hindsight(measured.total, best, [
+            sentences += _conventional_in_hindsight(measured.total, best, [
                 (b, name) for _, b, name in rivals])
         elif held_out is not None:
             verdict = verdict_on_choice(held_out, rival_held_out, best.name, among)
@@ -151,8 +151,8 @@ def best_conventional(method: Method, baselines: tuple[Baseline, ...]) -> str:
     return min(rivals, key=lambda name: rivals[name], default="")
 
 
-def _in_hindsight(rmse: float, named: Baseline,
-                  conventional: list[tuple[Baseline, str]]) -> Iterator[str]:
+def _conventional_in_hindsight(rmse: float, named: Baseline,
+                               conventional: list[tuple[Baseline, str]]) -> Iterator[str]:
     """Yield which conventional model is better at the independent points, if one but `named` is."""
     best, title = min(conventional, key=lambda rival: _independent(rival[0]))
     # Said apart, as these points chose it in hindsight.

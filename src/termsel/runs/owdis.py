@@ -42,7 +42,7 @@ def with_selected_lines(control: FitData, choice: Choice, auto: Auto,
         return choice, None
     # Only points are predicted by others alike, with the selected lines or with all.
     squares_alone = choice.chosen.held_out().squares[:count]
-    selected = _selected(control, seed)
+    selected = _select_features(control, seed)
     with_lines = None if selected is None else auto.choose(selected)
     if selected is None or with_lines is None:
         return choice, None
@@ -68,7 +68,7 @@ def with_selected_lines(control: FitData, choice: Choice, auto: Auto,
     return replace(with_lines, reason=reason), errors
 
 
-def _selected(control: FitData, seed: int) -> FitData | None:
+def _select_features(control: FitData, seed: int) -> FitData | None:
     """Return the points and the lines that OWDIS selects by them; None where it cannot."""
     features = control.features
     points = features.points
@@ -99,7 +99,7 @@ def _held_out(control: FitData, auto: Auto, seed: int) -> FloatArray | None:
     order = spatial_order(points.ground[:, :2])
     for fold in range(FOLDS_WITH_LINES):
         is_out = np.isin(np.arange(len(control)), order[fold::FOLDS_WITH_LINES])
-        selected = _selected(control.take(~is_out), seed)
+        selected = _select_features(control.take(~is_out), seed)
         choice = None if selected is None else auto.choose(selected, with_contained=False)
         if choice is None:
             return None

@@ -54,11 +54,11 @@ def recommended(task: Task, search: SearchResult) -> SearchResult:
         index = int(np.lexsort((first, by_ebic.objectives[:, 0], by_ebic.violation))[0])
     return replace(search, genes=search.front[index], objectives=evaluation.objectives[index],
                    violation=float(evaluation.violation[index]),
-                   certificate=_of_member(search.certificate, first[index], first.min()))
+                   certificate=_proof_of_member(search.certificate, first[index], first.min()))
 
 
-def _of_member(certificate: Mapping[str, Any] | None, value: float,
-               optimum: float) -> Mapping[str, Any] | None:
+def _proof_of_member(certificate: Mapping[str, Any] | None, value: float,
+                     optimum: float) -> Mapping[str, Any] | None:
     """Return what a proof of the front's best member says of another one."""
     if certificate is None or not certificate["optimal"] or value == optimum:
         return certificate

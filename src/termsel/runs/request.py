@@ -271,7 +271,7 @@ def request_of(
     # 1. Which model, criterion and solver: those named, else the problem's.
     components = _named_parts(recipe, model, solver, criterion, settings)
     # 2. Whose option each setting is; unknown ones are refused here.
-    by_parts = _by_parts(recipe, components, settings)
+    by_parts = _options_by_parts(recipe, components, settings)
     model_part = components["model"]
     set_options = tuple(by_parts["model"]) if isinstance(model_part, type) else tuple(
         option.name for option in model_part.declared_options
@@ -283,7 +283,7 @@ def request_of(
         instances[role] = with_options(
             role, component, {**usual.get(role, {}), **by_parts[role]})
     # 4. Options of problem, search and data, those decided that depend on the rest.
-    of_problem = _of_problem(
+    of_problem = _options_of_problem(
         recipe, by_parts["problem"], instances["criterion"], instances["solver"])
     polished = recipe.refined and solver is None and not instances["solver"].ends_by_itself
     of_search = resolve(SEARCH_OPTIONS, {"polish": polished, **by_parts["search"]})
@@ -311,8 +311,8 @@ def request_of(
                          if option.name in by_parts["problem"]))
 
 
-def _by_parts(recipe: Recipe, components: Mapping[str, Any],
-              settings: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+def _options_by_parts(recipe: Recipe, components: Mapping[str, Any],
+                      settings: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     """Return the given options by part of the run."""
     declared = {"data": DATA_OPTIONS, "search": SEARCH_OPTIONS,
                 **{role: component.declared_options for role, component in components.items()}}
@@ -441,8 +441,8 @@ def require_type(function: Callable[..., Any], name: str, value: Any, expected: 
         raise wrong(function, name, fault)
 
 
-def _of_problem(recipe: Recipe, settings: Mapping[str, Any], criterion: Criterion,
-                solver: Solver) -> dict[str, Any]:
+def _options_of_problem(recipe: Recipe, settings: Mapping[str, Any], criterion: Criterion,
+                        solver: Solver) -> dict[str, Any]:
     """Return the options of a problem, those decided that depend on criterion and solver."""
     undeclared = {option.name: option for option in undeclared_options(recipe)}
     options = resolve([*recipe.options, *(option for name, option in undeclared.items()

@@ -153,7 +153,7 @@ def run(
     observers = (*observers, *filter(None, [notebook]), *registry().observers())
     sole_method: Auto | TaskMethod | None = None
     if isinstance(problem, Task):
-        _refuse_named({"features": features, **arguments})
+        _refuse_next_to_task({"features": features, **arguments})
         task = problem
     else:
         # What is asked for of a method, in words: the automatic choice would decide it itself.
@@ -222,7 +222,7 @@ def _seconds_of_compilation(task: Task, sole_method: Method | None) -> int:
     return AUTO_COMPILES if held_out.needs_compilation(points) else 0
 
 
-def _refuse_named(arguments: Mapping[str, Any]) -> None:
+def _refuse_next_to_task(arguments: Mapping[str, Any]) -> None:
     """Refuse what is asked for next to a task that has been prepared."""
     named = sorted(name for name, value in arguments.items() if value is not None)
     if named:

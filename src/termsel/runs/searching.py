@@ -243,7 +243,7 @@ def finding_of(task: Task, search: SearchResult, auto: Auto,
              *filter(None, [note_on_pole(observations.features, observations.control)]),
              *verdict.notes, *contradicting.notes,
              *notes_on(agreeing, task.criterion, search, fitted),
-             *_on_replaced(task.model, selection), *notes_on_sessions(plugins))
+             *_notes_on_replaced_options(task.model, selection), *notes_on_sessions(plugins))
     then = task.then
     # The objectives of least squares are not those of other coefficients.
     objectives = search.objectives.tolist() if fitted.estimator.least_squares else []
@@ -283,7 +283,7 @@ def _files(task: Task, search: SearchResult, observations: Observations) -> dict
     return {CERTIFICATE: json.dumps(content) + "\n"}
 
 
-def _on_replaced(model: SensorModel, selection: Selection) -> Iterable[str]:
+def _notes_on_replaced_options(model: SensorModel, selection: Selection) -> Iterable[str]:
     """Yield which options of the model have other values than those they were given."""
     for option in model.declared_options:
         stated = model.options[option.name]
@@ -325,14 +325,15 @@ def _proven(task: Task, search: SearchResult, fitted: Fit) -> Mapping[str, Any] 
     # What a solver of a plugin proves is its claim, and named as such.
     claim = plugins_of(task.request).get("solver")
     if search.certificate is not None and claim:
-        return {**_required(search.certificate, claim["name"]), "claimed_by": claim["name"]}
+        return {**_required_certificate(search.certificate, claim["name"]),
+                "claimed_by": claim["name"]}
     if (search.certificate is not None or search.violation or search.interrupted
             or not fitted.estimator.least_squares or len(search.objectives) > 1):
         return search.certificate
     return gap(task.problem, float(search.objectives[0]))
 
 
-def _required(certificate: Mapping[str, Any], solver: str) -> dict[str, Any]:
+def _required_certificate(certificate: Mapping[str, Any], solver: str) -> dict[str, Any]:
     """Return what a plugin's certificate must say; refuse one that does not."""
     kinds = {"optimal": bool, "subsets": int, "of": int, "space": str}
     if not isinstance(certificate, Mapping) or any(

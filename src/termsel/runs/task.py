@@ -70,7 +70,7 @@ def require_enough(observations: Observations, recipe: Recipe, criterion: Criter
     control = observations.control
     check = observations.check
     if len(control) < fewest:
-        others = _others(observations)
+        others = _others_in_words(observations)
         raise TermselError(
             f"{_given(control)}{others}; {recipe.name} needs at least {fewest}",
             hint=("Measure more, or give more features the role control." if others
@@ -113,7 +113,7 @@ def _given(control: FeatureSet) -> str:
     return _number(len(control), f"control {noun}")
 
 
-def _others(observations: Observations) -> str:
+def _others_in_words(observations: Observations) -> str:
     """Return which points are not control, where some are, such as ", next to 1 selection point".
     """
     kinds = ((observations.check, "selection point"),

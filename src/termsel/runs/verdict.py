@@ -71,11 +71,13 @@ def exchange_of(control: FitData) -> Exchange | None:
         if not _mixed(turnings):
             # A mirrored image is rare.
             mirrored = 1e3 if (turnings > 0).any() else 1.0
-            repairs.append((mirrored * _left(ground, image[order]), Exchange(pair, True)))
+            repairs.append((mirrored * _affine_residuals(ground, image[order]),
+                            Exchange(pair, True)))
     for wrong in range(count) if count > MIN_EXCHANGED_POINTS else ():
         remaining = np.delete(np.arange(count), wrong)
         if not _mixed(_turnings(ground[remaining], image[remaining])):
-            repairs.append((_left(ground[remaining], image[remaining]), Exchange((wrong,), False)))
+            repairs.append((_affine_residuals(ground[remaining], image[remaining]),
+                            Exchange((wrong,), False)))
     if repairs:
         return min(repairs, key=lambda repair: repair[0])[1]
     return Exchange(tuple(range(count)), False)
@@ -122,7 +124,7 @@ def _mixed(turnings: IntArray) -> bool:
     return bool((turnings > 0).any() and (turnings < 0).any())
 
 
-def _left(ground: FloatArray, image: FloatArray) -> float:
+def _affine_residuals(ground: FloatArray, image: FloatArray) -> float:
     """Return what an affine transformation leaves of image places, by its freedom."""
     columns = np.column_stack([np.ones(len(ground)), ground])
     residuals = image - columns @ np.linalg.lstsq(columns, image)[0]
@@ -196,16 +198,16 @@ def judge_features(observations: Observations, auto: Auto,
         if exchange is not None:
             unlike_any_view = _unlike_any_view(pool, exchange, roles)
             return replace(verdict, outliers=(*off_plane_outliers, *unlike_any_view),
-                           notes=(_on_exchange(features, exchange),))
+                           notes=(_note_on_exchange(features, exchange),))
     if suspects is None:
         return verdict
     wrong = select(features.ids, suspects.blunders)
     return replace(verdict, outliers=(*off_plane_outliers, *_outliers(features, roles, suspects)),
                    blunders=with_twins(points, wrong).union(wrong),
-                   notes=(*_on_contradictions(pool, suspects), *_limits(features, suspects)))
+                   notes=(*_note_on_contradictions(pool, suspects), *_limits(features, suspects)))
 
 
-def _on_contradictions(pool: FitData, suspects: Suspects) -> Iterator[str]:
+def _note_on_contradictions(pool: FitData, suspects: Suspects) -> Iterator[str]:
     """Yield what to do where about half of the points contradict the others, but are too few."""
     agreeing = agreement(pool)
     if agreeing is None or (~agreeing <= suspects.blunders).all():
@@ -235,7 +237,7 @@ def _unlike_any_view(pool: FitData, exchange: Exchange,
     return _outliers(pool.features, roles, Suspects(is_wrong, is_wrong, is_named, errors, errors))
 
 
-def _on_exchange(features: FeatureSet, exchange: Exchange) -> str:
+def _note_on_exchange(features: FeatureSet, exchange: Exchange) -> str:
     """Return what tells that points are wrong, and which."""
     ids = [features.ids[i] for i in exchange.points]
     reason = "no view of a plane reverses some triangles of points and others not, as these do"
@@ -275,7 +277,7 @@ def judge_independent(observations: Observations, choice: Choice | None, auto: A
     if observations.lattice is not None:
         return Verdict(), observations
     by_geometry = None if choice is None else \
-        _by_what_is_known(choice.chosen, points, observations.heights, auto)
+        _contradicting_known_image(choice.chosen, points, observations.heights, auto)
     if by_geometry is not None:
         suspects = by_geometry
     elif choice is not None:
@@ -318,8 +320,8 @@ def _most_blunders(count: int, of_others: Verdict | None) -> float:
     return count * share + UNLIKELY_DEVIATIONS * float(np.sqrt(count * share * (1.0 - share)))
 
 
-def _by_what_is_known(fitted: Fit, points: Points, heights: bool,
-                      auto: Auto) -> Suspects | None:
+def _contradicting_known_image(fitted: Fit, points: Points, heights: bool,
+                               auto: Auto) -> Suspects | None:
     """Return which other points contradict what the chosen model knows of the image, if it does."""
     if not method_of(fitted).from_one or not len(points):
         return None

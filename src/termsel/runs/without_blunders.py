@@ -39,7 +39,7 @@ def search_without_blunders(task: Task, auto: Auto, verdict: Verdict | None = No
     if task.options["problem"].get("blunders") == "leave-out":
         verdict = verdict or judge_features(
             task.observations, auto, task.options["data"]["tested"])
-        remaining = _without(task, verdict.blunders)
+        remaining = _task_without_blunders(task, verdict.blunders)
     if remaining is not None:
         searched = recommended(remaining, search_in_steps(remaining, **how))
         if remaining is task:
@@ -53,7 +53,7 @@ def search_without_blunders(task: Task, auto: Auto, verdict: Verdict | None = No
         "Blunders are in use: without them no selection satisfies all conditions.")))
 
 
-def _without(task: Task, blunders: frozenset[str]) -> Task | None:
+def _task_without_blunders(task: Task, blunders: frozenset[str]) -> Task | None:
     """Return the task without blunders; None if too few features are left.
 
     Points lose their role. Lines, which have none, can no longer be selected.

@@ -116,8 +116,8 @@ def simulate_scene(
         raise TermselError(f"{sum(roles)} points with a noise of {noise} px cannot be simulated",
                            hint="Give a number of points and a noise of at least 0.")
     wrong_rng, noise_rng = _streams(scene, seed)[2:]
-    points, lines = _measured(name, seed, tuple(roles), n_lines)
-    image = _displaced(lines.image, wrong_rng, wrong)
+    points, lines = _noise_free_features(name, seed, tuple(roles), n_lines)
+    image = _displace_lines(lines.image, wrong_rng, wrong)
     point_noise, line_noise = noise_rng.spawn(2)
     points = replace(points, image=points.image
                      + noise * point_noise.standard_normal(points.image.shape))
@@ -152,7 +152,7 @@ def scene_truth(
     n_lines, wrong = _line_counts(scene, n_lines, wrong_lines)
     sensor, terrain, _ = _geometry(name)
     ids = _ids("L", n_lines)
-    picked = _picked(_streams(scene, seed)[2], n_lines, wrong)
+    picked = _pick_mismatched(_streams(scene, seed)[2], n_lines, wrong)
     return SceneTruth(sensor, terrain, tuple(ids[i] for i in picked))
 
 
@@ -223,7 +223,7 @@ def _shaken(scene: Scene, sensor: Pushbroom) -> Pushbroom:
     return replace(sensor, roll=angles[0], pitch=angles[1], yaw=angles[2])
 
 
-def _on_ground(name: str, image: FloatArray) -> FloatArray:
+def _ground_positions(name: str, image: FloatArray) -> FloatArray:
     """Return lon, lat, height, shape (n, 3), of image points on the terrain."""
     sensor, terrain, _ = _geometry(name)
     # Slopes are gentle, so each round leaves about a twentieth of the error.
@@ -238,8 +238,8 @@ def _role_counts(scene: Scene, count: int) -> tuple[int, int, int]:
 
 
 @lru_cache(maxsize=16)
-def _measured(name: str, seed: int | None, roles: tuple[int, int, int],
-              n_lines: int) -> tuple[Points, Lines]:
+def _noise_free_features(name: str, seed: int | None, roles: tuple[int, int, int],
+                         n_lines: int) -> tuple[Points, Lines]:
     """Return points and lines free of noise; studies and tests ask for the same ones often."""
     scene = _scene(name)
     point_rng, line_rng = _streams(scene, seed)[:2]
@@ -273,7 +273,7 @@ def _points(scene: Scene, rng: Generator, numbers: tuple[int, int, int]) -> Poin
             image[i] = candidates[clearance.argmax()]
         placed.add(image[i])
         of_same.add(image[i])
-    ground = _on_ground(scene.name, image)
+    ground = _ground_positions(scene.name, image)
     return Points(_ids("P", count), sensor.project(ground), ground, None,
                   tuple(ASSIGNABLE[role] for role in roles))
 
@@ -318,7 +318,7 @@ def _lines(scene: Scene, rng: Generator, count: int) -> Lines:
     share = centre + reach[:, None] * np.column_stack([np.sin(bearing), np.cos(bearing)])
     anywhere = rng.uniform(0.06, 0.94, (count, 2))
     share[settlement == 3] = anywhere[settlement == 3]
-    middle = _on_ground(scene.name, share * (np.array(scene.image_size) - 1))[:, :2]
+    middle = _ground_positions(scene.name, share * (np.array(scene.image_size) - 1))[:, :2]
     azimuth = rng.uniform(0, 2 * np.pi, count)
     length = scene.gsd * np.exp(rng.uniform(np.log(40), np.log(400), count))
     # Half of the length, as an angle at the centre of the Earth; a degree of longitude is shorter.
@@ -337,14 +337,14 @@ def _lines(scene: Scene, rng: Generator, count: int) -> Lines:
     return Lines(_ids("L", count), image, ground)
 
 
-def _picked(rng: Generator, n_lines: int, wrong: int) -> IntArray:
+def _pick_mismatched(rng: Generator, n_lines: int, wrong: int) -> IntArray:
     """Return which lines are mismatched, in order; the first numbers from `rng`."""
     return np.sort(rng.choice(n_lines, wrong, replace=False))
 
 
-def _displaced(image: FloatArray, rng: Generator, wrong: int) -> FloatArray:
+def _displace_lines(image: FloatArray, rng: Generator, wrong: int) -> FloatArray:
     """Return image lines (n, 2, 2) of which `wrong` are moved sideways."""
-    picked = _picked(rng, len(image), wrong)
+    picked = _pick_mismatched(rng, len(image), wrong)
     # Across the line, by some pixels to either side: as if a neighbouring street had been taken.
     direction = image[picked, 1] - image[picked, 0]
     sideways = np.column_stack([-direction[:, 1], direction[:, 0]])

@@ -104,7 +104,7 @@ def compare(
         # Without a folder a study keeps its journal all the same, until it ends.
         directory = Path(out) if out is not None else stack.enter_context(private_folder())
         plugins = _plugins(cells, spec)
-        journal = _begun(stack, directory, {**versions(), **plugins})
+        journal = _open_journal(stack, directory, {**versions(), **plugins})
         # Read before the plan is replaced, to tell what has changed since.
         before = keys_by_labels(directory)
         write_plan(spec, cells, workers, directory)
@@ -206,7 +206,7 @@ def estimate(study: Path | str | Mapping[str, Any] | None = None, **keys: Any
             yield kind, len(cells), None, _reasons(cells)
             continue
         sizes = [len(features[cell.data.key]) for cell in works]
-        sample = _of_all_sizes(works, sizes)
+        sample = _cells_of_all_sizes(works, sizes)
         records = [do(cell, features[cell.data.key]).record for cell in sample]
         if cold or records[0].figures.get("seconds", LONG_CELL_SECONDS) < LONG_CELL_SECONDS:
             # The first run of a kind also loads or compiles what it needs.
@@ -224,7 +224,7 @@ def _reasons(cells: list[Cell]) -> str:
     return cells[0].data.reason + (f" And {counted(further, 'other reason')}." if further else "")
 
 
-def _of_all_sizes(cells: list[Cell], sizes: list[int]) -> list[Cell]:
+def _cells_of_all_sizes(cells: list[Cell], sizes: list[int]) -> list[Cell]:
     """Return up to three cells of one kind: of the fewest features, middling and of the most."""
     by_size = sorted(range(len(cells)), key=sizes.__getitem__)
     places = (0, len(cells) // 2, len(cells) - 1)
@@ -242,7 +242,7 @@ def _mean_time(sizes: list[int], seconds: Mapping[int, float]) -> float | None:
     return float(times.mean())
 
 
-def _begun(stack: ExitStack, folder: Path, current_versions: Mapping[str, str]) -> Journal:
+def _open_journal(stack: ExitStack, folder: Path, current_versions: Mapping[str, str]) -> Journal:
     """Return the open journal of a folder that this process alone works in."""
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -49,7 +49,7 @@ def equations(model: SensorModel) -> None:
     k = len(model.terms)
     for features in accepted_scenes(model):
         if len(features.lines):
-            features = _in_pieces(features)
+            features = _split_last_line(features)
         n = len(features.points)
         # Two rows, line and sample, for a point; two for a line, one for each vertex.
         m = len(features.lines)
@@ -67,7 +67,7 @@ def equations(model: SensorModel) -> None:
                 "first and then lines, as np.repeat(features.feature, 2) does")
 
 
-def _in_pieces(features: FeatureSet) -> FeatureSet:
+def _split_last_line(features: FeatureSet) -> FeatureSet:
     """Return the features with the last line as a piece of the one before it."""
     # Two lines under one id are one feature of two pieces.
     ids = features.lines.ids

@@ -16,14 +16,15 @@ def roles(split: Split) -> None:
     """It gives each point a role, of any number of points and with any shares."""
     for n in COUNTS:
         for shares in SHARES:
-            _assigned(split, n, shares)
+            _assigned_roles(split, n, shares)
 
 
 def same_again(split: Split) -> None:
     """The same points, shares and seed get the same roles, here and in another process."""
     for n in COUNTS:
-        first = _assigned(split, n, SHARES[0])
-        require(_assigned(split, n, SHARES[0]) == first == _assigned(pickled(split), n, SHARES[0]),
+        first = _assigned_roles(split, n, SHARES[0])
+        require(_assigned_roles(split, n, SHARES[0]) == first
+                == _assigned_roles(pickled(split), n, SHARES[0]),
                 "assign() of the same points and seed differs; take all chance from rng")
 
 
@@ -47,6 +48,6 @@ def _points(n: int) -> tuple[tuple[str, ...], np.ndarray]:
     return numbered("P", n), np.random.default_rng(5).uniform(0.0, 1000.0, (n, 3))
 
 
-def _assigned(split: Split, n: int, shares: tuple[float, ...]) -> tuple[str, ...]:
+def _assigned_roles(split: Split, n: int, shares: tuple[float, ...]) -> tuple[str, ...]:
     ids, ground = _points(n)
     return split.roles(ids, ground, np.array(shares), np.random.default_rng(1))

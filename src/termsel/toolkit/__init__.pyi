@@ -33,11 +33,8 @@ from termsel.data.features import BoolArray as BoolArray
 from termsel.data.features import FloatArray as FloatArray
 from termsel.data.rasters import refuse_empty_giant as refuse_empty_giant
 from termsel.data.rasters import require_rasterio as require_rasterio
-from termsel.data.record.figures import SensorFigure as SensorFigure
 from termsel.data.record.figures import plain as plain
 from termsel.data.scaling import scaling_of as scaling_of
-from termsel.fitting.orientation import camera_figures as camera_figures
-from termsel.fitting.orientation import exterior_orientation as exterior_orientation
 from termsel.formats.base import read_data as read_data
 from termsel.formats.base import read_text as read_text
 from termsel.formats.deviation import say_deviation as say_deviation

@@ -14,6 +14,7 @@ from termsel.data.monomials import monomials as monomials
 from termsel.data.record.figures import OnGround as OnGround
 from termsel.data.record.figures import Predicted as Predicted
 from termsel.data.record.figures import Rmse as Rmse
+from termsel.data.record.figures import SensorFigure as SensorFigure
 from termsel.data.record.search import TermFrequencies as TermFrequencies
 from termsel.data.roles import ASSIGNABLE as ASSIGNABLE
 from termsel.data.roles import twins as twins
@@ -29,6 +30,8 @@ from termsel.fitting.figures import Rmses as Rmses
 from termsel.fitting.figures import figures as figures
 from termsel.fitting.figures import in_role as in_role
 from termsel.fitting.figures import rmse_record as rmse_record
+from termsel.fitting.orientation import camera_figures as camera_figures
+from termsel.fitting.orientation import exterior_orientation as exterior_orientation
 from termsel.fitting.pinhole import Cameras as Cameras
 from termsel.fitting.pinhole import Measured as Measured
 from termsel.fitting.pinhole import Pinhole as Pinhole

@@ -109,9 +109,9 @@ class MapRaster:
         target = Affine(((east - west) / TILE), 0, west, 0, (south - north) / TILE, north)
         # Centres of the tile's pixels.
         rows, columns = np.mgrid[0:TILE, 0:TILE] + 0.5
-        return self._resampled(target @ (columns.ravel(), rows.ravel()), crs)
+        return self._resample_tile(target @ (columns.ravel(), rows.ravel()), crs)
 
-    def _resampled(self, xy: Any, crs: str) -> Pixels:
+    def _resample_tile(self, xy: Any, crs: str) -> Pixels:
         """Return the colours at places of a tile, by the nearest pixel of what is read for it."""
         positions = turned(between(self.crs, crs), np.column_stack(xy), inverse=True)
         columns, rows = ~self.raster.dataset.transform @ (positions[:, 0], positions[:, 1])
@@ -214,7 +214,7 @@ def open_maps(names: Sequence[str], crs: str | None, remote: bool) -> Maps:
         maps = Maps(shown_crs(normalise(first)), rasters, [], tiles)
         for name, (shapes, crs_of_layer) in zip([name for name in names if not is_tiles(name)
                                         and is_vector(name)], vectors, strict=True):
-            maps.vectors.append(_shown(name, shapes, crs_of_layer or crs, maps.shown))
+            maps.vectors.append(_shapes_shown(name, shapes, crs_of_layer or crs, maps.shown))
         _say_far(maps)
     except BaseException:
         for raster in rasters:
@@ -233,7 +233,7 @@ def _layer_of(name: str) -> tuple[Any, str]:
     return shapes, normalise(stated) if stated else ""
 
 
-def _shown(name: str, shapes: Any, crs: str | None, page_crs: str) -> VectorLayer:
+def _shapes_shown(name: str, shapes: Any, crs: str | None, page_crs: str) -> VectorLayer:
     """Return shapes of a CRS as a layer in the CRS that is shown."""
     import shapely
 

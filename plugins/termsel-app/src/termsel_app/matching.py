@@ -74,7 +74,7 @@ def refined_place(session: Session, name: str) -> dict[str, Any]:
         raise TermselError("only a point with both positions can be refined")
     first, second = _windows(session, prediction, record)
     for matcher in _MATCHERS:
-        shift = _agreed(_shifts(termsel.get("matchers", matcher)(), first, second))
+        shift = _agreed_shift(_shifts(termsel.get("matchers", matcher)(), first, second))
         if shift is not None:
             refined = np.asarray(record["image"]) - shift
             return {"image": refined.tolist(), "distance": float(np.hypot(*shift)),
@@ -95,7 +95,7 @@ def _shifts(matcher: Any, first: Any, second: Any) -> FloatArray:
     return shifts
 
 
-def _agreed(shifts: FloatArray) -> FloatArray | None:
+def _agreed_shift(shifts: FloatArray) -> FloatArray | None:
     """Return the median of shifts that agree; None where too few do."""
     if len(shifts) < MIN_MATCHES:
         return None

@@ -98,7 +98,7 @@ def save(session: Session, name: str, image_id: object = None) -> list[Path]:
         arguments = completed(output.command, session.files, session.folder)
         if name == "annotation":
             served = None if session.served is None else session.served.id
-            arguments += _of_image(image_id or served)
+            arguments += _option_of_image(image_id or served)
         call(arguments, session.folder)
     if name == "points":
         return files
@@ -131,7 +131,7 @@ def _states(session: Session) -> list[tuple[int, int] | None]:
     return states
 
 
-def _of_image(image_id: object) -> list[str]:
+def _option_of_image(image_id: object) -> list[str]:
     """Return the option that names the IIIF image of an annotation."""
     if not isinstance(image_id, str) or not image_id.startswith(("http://", "https://")):
         raise TermselError("an annotation is of an IIIF image, and its id is not known",

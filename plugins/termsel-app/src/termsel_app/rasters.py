@@ -83,7 +83,7 @@ class Raster:
         # Bytes are colours already, and mostly stretched by whoever made them.
         if self.dataset.dtypes[self.bands[0] - 1] == "uint8":
             return None
-        values = np.concatenate(self._sampled(), axis=1)
+        values = np.concatenate(self._sample_values(), axis=1)
         limits = []
         for band in values:
             finite = band[np.isfinite(band)]
@@ -92,7 +92,7 @@ class Raster:
             limits.append((float(low), float(high if high > low else low + 1.0)))
         return limits
 
-    def _sampled(self) -> list[Any]:
+    def _sample_values(self) -> list[Any]:
         """Return values of all bands (bands, n), NaN for none, of places all over the raster."""
         from rasterio.windows import Window
 

@@ -271,10 +271,11 @@ class Session:
         """Return the control as the page shows it."""
         with self.lock:
             return {"version": self.version, "asked": self.asked,
-                    "records": [self._shown(record) for record in self.control.records.values()],
+                    "records": [self._record_on_map(record)
+                                for record in self.control.records.values()],
                     "undo": len(self.control.done), "redo": len(self.control.undone)}
 
-    def _shown(self, record: Record) -> Record:
+    def _record_on_map(self, record: Record) -> Record:
         """Return a record with where its ground places are on the map."""
         positions = _ground_places(record)
         on_map = self.places.to_map(positions).tolist() if positions else None
@@ -361,7 +362,7 @@ class Session:
         """
         if len(text) > MOST_PASTED:
             raise TermselError(f"at most {MOST_PASTED:,} characters can be pasted")
-        records = list(_pasted(text))
+        records = list(_points_of_paste(text))
         with self.lock:
             patches = []
             for number, record in enumerate(records):
@@ -419,7 +420,7 @@ _WITHOUT_HEADER = {3: ("id", "x", "y"), 4: ("id", "x", "y", "z"),
                    6: ("id", "line", "sample", "x", "y", "z")}
 
 
-def _pasted(text: str) -> Iterator[Record]:
+def _points_of_paste(text: str) -> Iterator[Record]:
     """Yield the points of a table; raises TermselError with the line at fault."""
     lines = [line for line in text.splitlines() if line.strip()]
     # Tabs come from spreadsheets; a comma may be in a cell of a table with semicolons.

@@ -176,7 +176,7 @@ def tree_of(axis: dict[str, Any], max_steps: int,
             continue
         # At a node of the path nothing is bounded: it only leads to the part that is decided.
         if not way:
-            bound_steps, columns, node, closed = _bounded(columns, node, checker)
+            bound_steps, columns, node, closed = _bound_steps(columns, node, checker)
             steps += bound_steps
             if closed:
                 continue
@@ -210,8 +210,8 @@ def _columns_of(axis: dict[str, Any]) -> Columns:
     return columns
 
 
-def _bounded(columns: Columns, node: Node,
-             checker: Axis) -> tuple[list[Step], Columns, Node, bool]:
+def _bound_steps(columns: Columns, node: Node,
+                 checker: Axis) -> tuple[list[Step], Columns, Node, bool]:
     """Return the steps that a bound proves of a node, what it has then, and if it is closed.
 
     Each step is one that the checker has accepted.

@@ -91,7 +91,7 @@ def bench(method_names: tuple[str, ...], solvers: tuple[str, ...], problem: str 
                                 "--package, which says what code of the results may run.")
     # A check repeats the sets that its file names, of either suite.
     if suite == "measured" and checked is None:
-        names = _measured(pattern, quick=quick)
+        names = _measured_names(pattern, quick=quick)
     else:
         names = _sets(pattern, quick=quick)
     if files is not None and suite == "measured":
@@ -143,7 +143,7 @@ def _sets(pattern: str, *, quick: bool) -> list[str]:
     return names
 
 
-def _measured(pattern: str, *, quick: bool) -> list[str]:
+def _measured_names(pattern: str, *, quick: bool) -> list[str]:
     """Return the names of measured sets; of a quick run the first of each kind."""
     from termsel_bench.scenes.measured import SOURCES, measured_names
 

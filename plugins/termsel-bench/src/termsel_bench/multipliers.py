@@ -159,10 +159,10 @@ def bounded(columns: Columns, *, tune: bool = True) -> Bound | None:
     best = max(bounds, key=lambda bound: bound.minimum, default=None)
     if best is None or not tune or not n or form.gram[n, n] <= 0.0:
         return best
-    return _tuned(form, best)
+    return _tune_bound(form, best)
 
 
-def _tuned(form: _Form, at: Bound) -> Bound:
+def _tune_bound(form: _Form, at: Bound) -> Bound:
     """Return a bound by Newton's method: the least value, and a barrier of the determinant.
 
     Both are concave. The minimum z has s'z = 1, and z'N_j z = x_j a_j'Az is its derivative by

@@ -166,7 +166,7 @@ def scores(methods: Sequence[Method], sets: Iterable[str], real: Sequence[Path] 
                                                                               for folder in real]
     work = [Work(method, name, folder) for (name, folder), method in product(works, methods)]
     if scheduler:
-        yield from _on_cluster(work, scheduler)
+        yield from _scores_on_cluster(work, scheduler)
     elif processes == 1:
         yield from map(score, work)
     else:
@@ -182,7 +182,7 @@ def scores(methods: Sequence[Method], sets: Iterable[str], real: Sequence[Path] 
             yield from scored
 
 
-def _on_cluster(work: Sequence[Work], scheduler: str) -> Iterator[Score]:
+def _scores_on_cluster(work: Sequence[Work], scheduler: str) -> Iterator[Score]:
     """Yield the scores that a dask scheduler has computed."""
     with requires("--scheduler requires", "distributed", "distributed"):
         from distributed import Client

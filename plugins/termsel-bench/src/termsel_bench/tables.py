@@ -57,9 +57,10 @@ def by_kind(scores: Sequence[Score]) -> tuple[list[str], list[list[str]]]:
         for score in of_title:
             ratios[score.kind].append(ratio(score, best))
         all_ratios = list(chain.from_iterable(ratios.values()))
-        rows.append((median(all_ratios), [title, *(_shown(median(values) if values else math.inf)
+        rows.append((median(all_ratios),
+                     [title, *(_ratio_in_words(median(values) if values else math.inf)
                                                    for values in ratios.values()),
-                                          _shown(median(all_ratios)),
+                                          _ratio_in_words(median(all_ratios)),
                                           str(sum(value <= LOSS_RATIO for value in all_ratios)),
                                           str(sum(math.isinf(value) for value in all_ratios)),
                                           f"{median(score.seconds for score in of_title):.2f}"]))
@@ -81,5 +82,5 @@ def losses(scores: Sequence[Score], title: str) -> list[tuple[Score, Score]]:
     return sorted(lost, key=lambda pair: -pair[0].rmse / pair[1].rmse)
 
 
-def _shown(value: float) -> str:
+def _ratio_in_words(value: float) -> str:
     return "-" if math.isinf(value) else f"{value:.2f}"

@@ -74,7 +74,7 @@ def predicted(result: BlockResult, i: int, seed: int = 0, *, anywhere: bool = Fa
     # A generator of its own for each image: the figures do not depend on which others are asked
     # for.
     rng = np.random.default_rng([seed, i])
-    draws = _drawn(result, i, rng)
+    draws = _draw_errors(result, i, rng)
     # The posterior of a computed position: derivatives by parameters times draws of these, squared.
     squares = ((rows @ draws) ** 2).sum(axis=1).mean(axis=0)
     # The variance of control is known from few measurements; the state has its median.
@@ -98,7 +98,7 @@ def shared_sigma(result: BlockResult, i: int, features: FeatureSet, own_sigma: F
     off together, which no fit to them alone can see.
     """
     rows = result.rows(i, result.frame.local(features.points.ground))
-    draws = _drawn(result, i, np.random.default_rng([seed, i]))
+    draws = _draw_errors(result, i, np.random.default_rng([seed, i]))
     # E[(J d)^2] over draws d of the parameters, for line and for sample of each place.
     squares = ((rows @ draws) ** 2).mean(axis=2)
     is_finite = np.isfinite(own_sigma).all(axis=1)
@@ -112,22 +112,22 @@ def shared_sigma(result: BlockResult, i: int, features: FeatureSet, own_sigma: F
     return line, sample
 
 
-def _drawn(result: BlockResult, i: int, rng: np.random.Generator) -> FloatArray:
+def _draw_errors(result: BlockResult, i: int, rng: np.random.Generator) -> FloatArray:
     """Return draws (p, draws) of an image's errors from the posterior of its parameters."""
     drawn = result.adjusted.draws
-    return drawn[i].T if drawn else _normal(result, i, rng)
+    return drawn[i].T if drawn else _draw_normal_errors(result, i, rng)
 
 
-def _normal(result: BlockResult, i: int, rng: np.random.Generator) -> FloatArray:
+def _draw_normal_errors(result: BlockResult, i: int, rng: np.random.Generator) -> FloatArray:
     """Return draws (p, draws) of an image's errors by its covariance alone."""
     covariance = result.covariances[i]
     # The small number on the diagonal keeps parameters without any variance factorisable.
     root = np.linalg.cholesky(covariance + 1e-12 * np.eye(len(covariance)))
     return np.asarray(root @ rng.standard_normal((len(root), _DRAWS))
-                      * np.sqrt(_unsure(result, i, rng)))
+                      * np.sqrt(_draw_variance_ratios(result, i, rng)))
 
 
-def _unsure(result: BlockResult, i: int, rng: np.random.Generator) -> FloatArray:
+def _draw_variance_ratios(result: BlockResult, i: int, rng: np.random.Generator) -> FloatArray:
     """Return draws (p, draws) of what variances of parameters are over what is stated.
 
     What the prior alone holds is as uncertain as the variance of the prior, which all of a group

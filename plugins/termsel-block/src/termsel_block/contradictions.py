@@ -52,8 +52,8 @@ def without_wrong_sensor(block: Block, adjusted: Adjusted,
     if worst is None:
         return None
     sensor = sensors[worst]
-    name = _shown(block, sensors[worst])
-    named_images = [f"{block.images[i].name}{_off(contradiction)}" for i,
+    name = _sensor_in_words(block, sensors[worst])
+    named_images = [f"{block.images[i].name}{_terms_in_words(contradiction)}" for i,
                     contradiction in suspects.items()
             if sensors[i] == sensor]
     n_images = sum(sensor_of(block, i) == sensor for i in range(len(block.images)))
@@ -73,7 +73,7 @@ def stated_sensors(block: Block) -> list[str]:
 def without_sensor(block: Block, sensor: str) -> Block:
     """Return the block with an unknown sensor where it states this one."""
     return replace(block, images=tuple(
-        _of_unknown_sensor(image) if sensor_of(block, i) == sensor else image
+        _image_without_sensor(image) if sensor_of(block, i) == sensor else image
         for i, image in enumerate(block.images)))
 
 
@@ -94,7 +94,7 @@ def note_without(block: Block, sensor: str, before: Adjusted, after: Adjusted) -
         return ""
     # Only images that state this sensor are named.
     images = [image.name for i, image in enumerate(block.images) if sensor_of(block, i) == sensor]
-    named = f"With the sensor {_shown(block, sensor)!r} of {', '.join(images)}"
+    named = f"With the sensor {_sensor_in_words(block, sensor)!r} of {', '.join(images)}"
     if (before.roughness >= _OVER_FREE * after.roughness
             # A rough ground weighs nothing against control that is far more probable with the
             # sensor.
@@ -116,7 +116,7 @@ def gain_of_control(before: Adjusted, after: Adjusted) -> float:
                for feature in before.score if feature in after.score)
 
 
-def _of_unknown_sensor(image: BlockImage) -> BlockImage:
+def _image_without_sensor(image: BlockImage) -> BlockImage:
     """Return an image without what is known of its sensor."""
     return replace(image, options={
         name: value for name, value in image.options.items() if name != _SENSOR})
@@ -124,18 +124,18 @@ def _of_unknown_sensor(image: BlockImage) -> BlockImage:
 
 def sensor_of(block: Block, i: int) -> str:
     """Return the sensor of an image: its file, or its name in small letters; "" without one."""
-    stated = _stated(block.images[i])
+    stated = _stated_sensor(block.images[i])
     return stated if Path(stated).is_file() else stated.casefold()
 
 
-def _stated(image: BlockImage) -> str:
+def _stated_sensor(image: BlockImage) -> str:
     """Return the sensor of an image as its options name it; "" without one."""
     return str(image.options.get(_SENSOR) or "")
 
 
-def _shown(block: Block, sensor: str) -> str:
+def _sensor_in_words(block: Block, sensor: str) -> str:
     """Return a sensor as the first image names it, and of a file the name alone."""
-    return next(Path(_stated(image)).name for i, image in enumerate(block.images)
+    return next(Path(_stated_sensor(image)).name for i, image in enumerate(block.images)
                 if sensor_of(block, i) == sensor)
 
 
@@ -144,8 +144,8 @@ def agrees_better(before: Adjusted, after: Adjusted, i: int) -> bool:
 
     If it does not, its sensor is right, and it turns faster than the model takes scanners to.
     """
-    contradiction_before = _of(before, i)
-    contradiction_after = _of(after, i)
+    contradiction_before = _contradiction_of(before, i)
+    contradiction_after = _contradiction_of(after, i)
     # Half the mean square is far less: by chance alone it changes by a few per cent.
     return (gain_of_control(before, after) > _FAR_BETTER or contradiction_before is None
             or contradiction_after is None
@@ -154,12 +154,13 @@ def agrees_better(before: Adjusted, after: Adjusted, i: int) -> bool:
 
 def contradicted(adjusted: Adjusted) -> dict[int, Contradiction]:
     """Return the images whose model the block contradicts, by number."""
-    contradictions = ((i, _of(adjusted, i)) for i in range(len(adjusted.state.cameras)))
+    contradictions = ((i, _contradiction_of(adjusted, i))
+                      for i in range(len(adjusted.state.cameras)))
     return {i: contradiction for i, contradiction in contradictions if contradiction is not None
             and contradiction.chance < CONTRADICTED_BELOW}
 
 
-def _of(adjusted: Adjusted, i: int) -> Contradiction | None:
+def _contradiction_of(adjusted: Adjusted, i: int) -> Contradiction | None:
     """Return how far an image is from what its model knows; None if that is nothing."""
     camera = adjusted.state.cameras[i]
     # Corrections of RPCs and polynomials have first guesses for priors, which nothing contradicts.
@@ -172,9 +173,9 @@ def _of(adjusted: Adjusted, i: int) -> Contradiction | None:
 def doubts_of_models(block: Block, adjusted: Adjusted) -> list[str]:
     """Return which models are contradicted and yet in use, as sentences."""
     return [f"Points and ties of {block.images[i].name} contradict what the model "
-            f"{block.images[i].model!r} knows of cameras{_off(contradiction)}. Its errors may be "
-            "larger than is predicted: compare with auto." for i,
-            contradiction in contradicted(adjusted).items()]
+            f"{block.images[i].model!r} knows of cameras{_terms_in_words(contradiction)}. Its "
+            "errors may be larger than is predicted: compare with auto."
+            for i, contradiction in contradicted(adjusted).items()]
 
 
 def against_dem(ground: FloatArray, adjusted: Adjusted, dem: Surface) -> tuple[float, str]:
@@ -209,7 +210,7 @@ def against_dem(ground: FloatArray, adjusted: Adjusted, dem: Surface) -> tuple[f
     return middle, note
 
 
-def _off(contradiction: Contradiction) -> str:
+def _terms_in_words(contradiction: Contradiction) -> str:
     """Return how far which terms are off, as a part of a sentence."""
     if not contradiction.terms:
         return ""

@@ -112,14 +112,14 @@ def adjust(block: Block, *, progress: Callable[[float], None] | None = None) -> 
     result then has it without that option, and says so in its notes.
     """
     frame = Frame.at(_places(block), block.crs)
-    result = _adjusted(block, frame, progress)
+    result = _adjust_as_stated(block, frame, progress)
     right: set[str] = set()
     freed_blocks: dict[str, BlockResult] = {}
     # Each round either frees the sensor that is contradicted most, or finds that it is right.
     while (contradicted := without_wrong_sensor(result.block, result.adjusted, right)) is not None:
         freed_block, worst = contradicted
         try:
-            freed = _adjusted(freed_block, frame, progress)
+            freed = _adjust_as_stated(freed_block, frame, progress)
         except TermselError:
             # Without what is known of the sensor, too little holds the image.
             freed = result
@@ -148,7 +148,8 @@ def _without_worse(result: BlockResult, freed_blocks: dict[str, BlockResult],
         for sensor in stated_sensors(result.block):
             without = without_sensor(result.block, sensor)
             try:
-                freed = freed_blocks.get(sensor) or _adjusted(without, result.frame, progress)
+                freed = freed_blocks.get(sensor) or _adjust_as_stated(without, result.frame,
+                                                                      progress)
             except TermselError:
                 # Without what is known of the sensor, too little holds the image.
                 continue
@@ -174,20 +175,20 @@ def _with_note_on_dem(result: BlockResult) -> BlockResult:
     path = block.dem
     if path is None or any(map(len, result.control)):
         return result
-    result = replace(result, block=replace(block, notes=(*block.notes, _of_heights(result))))
+    result = replace(result, block=replace(block, notes=(*block.notes, _height_errors(result))))
     try:
         # The same block by its RPCs alone, which then say how high the ground is.
-        free = _adjusted(replace(block, dem=None), result.frame, None)
+        free = _adjust_as_stated(replace(block, dem=None), result.frame, None)
     except TermselError:
         # Nothing but the DEM holds the heights, so that they say nothing of it.
         return result
     with open_dem(path, block.crs) as dem:
         off, note = against_dem(free.ties, free.adjusted, dem)
-    return result if not note else _adjusted(replace(
+    return result if not note else _adjust_as_stated(replace(
         block, notes=(*block.notes, note)), result.frame, None, doubt=abs(off))
 
 
-def _of_heights(result: BlockResult) -> str:
+def _height_errors(result: BlockResult) -> str:
     """Return what images are off by where the DEM is, which no interval can know."""
     tie_rows = result.adjusted.solved.tie_rows[:len(result.block.images)]
     px_of_100_m = [100 * float(np.median(np.hypot(*rows.slopes[:, :, 2].T))) for rows in tie_rows
@@ -196,8 +197,8 @@ def _of_heights(result: BlockResult) -> str:
             f"up to {max(px_of_100_m):.2g} px off, which intervals do not include.")
 
 
-def _adjusted(block: Block, frame: Frame, progress: Callable[[float], None] | None,
-              doubt: float = 0.0) -> BlockResult:
+def _adjust_as_stated(block: Block, frame: Frame, progress: Callable[[float], None] | None,
+                      doubt: float = 0.0) -> BlockResult:
     """Return the block as adjusted with the models that it states.
 
     Its DEM may be so much off [m], if that is more than usual.

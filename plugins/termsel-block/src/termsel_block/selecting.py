@@ -184,8 +184,9 @@ def select(block: Block, *, solver: str | Solver = "ga", seed: int = 1,
     outcome = search(problem, searcher, seed=seed, evaluations=evaluations,
                    polish=refined and not searcher.ends_by_itself)
     names = problem.decode(outcome.genes).features
-    control = tuple((image, name) for kind, image, name in map(_parts, names) if kind == "control")
-    ties = tuple(name for kind, _, name in map(_parts, names) if kind == "tie")
+    control = tuple((image, name) for kind, image, name in map(_parts_of_label, names)
+                    if kind == "control")
+    ties = tuple(name for kind, _, name in map(_parts_of_label, names) if kind == "tie")
     # Adjusted again with the selection alone: the linearised figures are only for the search.
     result = adjust(_with_selection(_without_check(block), set(control), set(ties)))
     everything = np.ones((1, problem.genome.size), bool)
@@ -196,7 +197,7 @@ def select(block: Block, *, solver: str | Solver = "ga", seed: int = 1,
         independent_of_all=_independent(problem.whole))
 
 
-def _parts(label: str) -> tuple[str, str, str]:
+def _parts_of_label(label: str) -> tuple[str, str, str]:
     """Return kind, image and id of a candidate by its label."""
     kind, _, name_of_tie = label.partition(":")
     image, _, name = name_of_tie.partition(":")
@@ -255,7 +256,7 @@ def _independent(result: BlockResult) -> float | None:
     return rmse(np.concatenate(errors)) if errors else None
 
 
-def _placed(result: BlockResult, i: int, rows: FloatArray) -> FloatArray:
+def _rows_among_all(result: BlockResult, i: int, rows: FloatArray) -> FloatArray:
     """Return rows of one image's parameters (n, p) among those of all images."""
     slices = result.adjusted.solved.reduced.slices
     all_columns = np.zeros((len(rows), _columns(result)))
@@ -280,7 +281,7 @@ def _check_rows(block: Block, result: BlockResult) -> tuple[FloatArray, FloatArr
         if not len(points):
             continue
         rows = result.rows(i, result.frame.local(points.ground))
-        design.append(_placed(result, i, rows.reshape(2 * len(points), -1)))
+        design.append(_rows_among_all(result, i, rows.reshape(2 * len(points), -1)))
         target.append((points.image - result.project(i, points.ground)).ravel())
     if not design:
         raise TermselError("no point of the block has the role check, which judges a selection",
@@ -305,7 +306,7 @@ def _control_rows(result: BlockResult) -> list[tuple[str, FloatArray, FloatArray
         if not len(control):
             continue
         # Derivatives in the direction that is measured, over the standard deviation.
-        rows = _placed(result, i, np.einsum(
+        rows = _rows_among_all(result, i, np.einsum(
             "na,nap->np", control.normal, result.rows(i, control.local)))
         sigma = state.sigma_control * control.sigma
         names = np.array(control.feature)
@@ -341,7 +342,7 @@ def _tie_rows(result: BlockResult, ties: IntArray,
         aim = []
         for image, row in measured:
             tie_rows = solved.tie_rows[image]
-            rows.append(_placed(result, image, tie_rows.rows[row]))
+            rows.append(_rows_among_all(result, image, tie_rows.rows[row]))
             slopes.append(tie_rows.slopes[row])
             aim.append(result.adjusted.residuals[image][row])
         # Directions in which no movement of the place shows: what the tie says of the images.

@@ -112,7 +112,7 @@ def simulate_map(
     extent = np.array(SIZE) - 1.0
     # Distorted as drawn, then by the sheets, then by the paper, then measured.
     image = positions + _field(of_field, local, positions)
-    image += _joined(of_sheets, sheets, joints, positions)
+    image += _shift_by_sheet(of_sheets, sheets, joints, positions)
     image = _shrunk(of_paper, shrinkage, image) + noise * of_noise.standard_normal(positions.shape)
     # Processors differ in the last bits.
     image = image.round(DIGITS)
@@ -152,8 +152,8 @@ def _field(rng: Generator, size: float, positions: FloatArray) -> FloatArray:
     return size * shift
 
 
-def _joined(rng: Generator, sheets: tuple[int, int], size: float,
-            positions: FloatArray) -> FloatArray:
+def _shift_by_sheet(rng: Generator, sheets: tuple[int, int], size: float,
+                    positions: FloatArray) -> FloatArray:
     """Return the shift of places by the sheets they are on [px], shape (n, 2)."""
     if sheets == (1, 1):
         return np.zeros(positions.shape)

@@ -57,14 +57,14 @@ class Hybrid1(Polynomial2D):
         ndarray, shape (..., n, 2)
             Infinite where there is no prediction.
         """
-        second = _fitted(self.project(coefficients, control.ground_vertices()), control)
-        image = _mapped(second, self.project(coefficients, ground))
+        second = _fit_second_step(self.project(coefficients, control.ground_vertices()), control)
+        image = _map_by_second_step(second, self.project(coefficients, ground))
         if len(control):
             image[_has_pole(second, control)] = np.inf
         return image
 
 
-def _fitted(computed: FloatArray, control: FeatureSet) -> FloatArray:
+def _fit_second_step(computed: FloatArray, control: FeatureSet) -> FloatArray:
     """Return the coefficients of the second step, shape (..., 11).
 
     Every row states that a vertex lies on an image line n x' = rho; a measured point is two
@@ -94,7 +94,7 @@ def _fitted(computed: FloatArray, control: FeatureSet) -> FloatArray:
     return np.asarray(_IDENTITY + change[..., 0])
 
 
-def _mapped(second: FloatArray, image: FloatArray) -> FloatArray:
+def _map_by_second_step(second: FloatArray, image: FloatArray) -> FloatArray:
     """Return image positions, shape (..., n, 2), mapped by the second step."""
     columns = _columns(image)
     above = np.stack([np.einsum("...nk,...k->...n", columns, second[..., columns_of])

@@ -177,16 +177,18 @@ class LineConformal(LineDirections):
     def project(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
         """Return image positions of ground points (see `SensorModel.project`)."""
         # Homogeneous of degree two in q.
-        rows = _turned(coefficients[..., 2:], self._units * ground) / 2
+        rows = _rotation_derivatives(coefficients[..., 2:], self._units * ground) / 2
         moved = np.einsum("...nak,...k->...na", rows, coefficients[..., 2:])
         return np.asarray(coefficients[..., None, :2] + moved)
 
     def _columns(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
         shift = np.broadcast_to(np.eye(2), (len(ground), 2, 2))
-        return np.concatenate([shift, _turned(coefficients[2:], self._units * ground)], axis=2)
+        return np.concatenate([shift,
+                               _rotation_derivatives(coefficients[2:],
+                                                     self._units * ground)], axis=2)
 
 
-def _turned(q: FloatArray, ground: FloatArray) -> FloatArray:
+def _rotation_derivatives(q: FloatArray, ground: FloatArray) -> FloatArray:
     """Return the derivatives of line and sample by a quaternion (..., 4), shape (..., n, 2, 4)."""
     w, i, j, k = np.moveaxis(q, -1, 0)[..., None]
     # Rows of the rotation matrix of q are quadratic in q: their derivatives are linear.

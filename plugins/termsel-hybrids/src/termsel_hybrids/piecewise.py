@@ -58,7 +58,7 @@ def _shares(positions: FloatArray, places: FloatArray) -> FloatArray:
         return shares
     inside = triangles.find_simplex(places)
     for i in np.flatnonzero(inside < 0).tolist():
-        a, b, along = _on_hull(positions, triangles.convex_hull, places[i])
+        a, b, along = _nearest_on_hull(positions, triangles.convex_hull, places[i])
         shares[i, a] += 1.0 - along
         shares[i, b] += along
     rows = np.flatnonzero(inside >= 0)
@@ -84,8 +84,8 @@ def _triangles(positions: bytes) -> Delaunay | None:
         return None
 
 
-def _on_hull(positions: FloatArray, edges: NDArray[np.int32],
-             place: FloatArray) -> tuple[int, int, float]:
+def _nearest_on_hull(positions: FloatArray, edges: NDArray[np.int32],
+                     place: FloatArray) -> tuple[int, int, float]:
     """Return the ends of the edge of the hull that is nearest, and where on it: 0 to 1."""
     start = positions[edges[:, 0]]
     step = positions[edges[:, 1]] - start

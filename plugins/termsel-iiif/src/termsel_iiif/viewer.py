@@ -129,7 +129,7 @@ def forward(key: str, image: FloatArray, plane: FloatArray) -> Forward | None:
     unit = float(np.abs(image - image.mean(axis=0)).max()) or 1.0
     scaled_image = (image - centre) / unit
     scaled_plane = (plane - middle) / far
-    scaled = _scaled(key, scaled_image, scaled_plane)
+    scaled = _scaling_to_one(key, scaled_image, scaled_plane)
     return None if scaled is None else lambda at: np.asarray(
         middle + far * scaled((at - centre) / unit))
 
@@ -138,7 +138,7 @@ SPLINED = 5000
 """Points through which a spline is tried at most."""
 
 
-def _scaled(key: str, image: FloatArray, plane: FloatArray) -> Forward | None:
+def _scaling_to_one(key: str, image: FloatArray, plane: FloatArray) -> Forward | None:
     """Return a transformation of coordinates that are about 1."""
     n = len(image)
     if key == "spline":
@@ -152,11 +152,12 @@ def _scaled(key: str, image: FloatArray, plane: FloatArray) -> Forward | None:
         return lambda at: np.asarray(spline(at))
     if key == "similarity":
         # Both axes share their unknowns: equations of x above those of y.
-        design = np.concatenate([_turned(image, 0), _turned(image, 1)])
+        design = np.concatenate([_similarity_columns(image, 0), _similarity_columns(image, 1)])
         if n < 2 or np.linalg.matrix_rank(design) < 4:
             return None
         values = np.linalg.lstsq(design, plane.T.ravel(), rcond=None)[0]
-        return lambda at: np.column_stack([_turned(at, axis) @ values for axis in (0, 1)])
+        return lambda at: np.column_stack([_similarity_columns(at, axis) @ values
+                                           for axis in (0, 1)])
     if key == "projective":
         return _projective(image, plane)
     design = _monomials(image, int(key[-1]))
@@ -166,7 +167,7 @@ def _scaled(key: str, image: FloatArray, plane: FloatArray) -> Forward | None:
     return lambda at: np.asarray(_monomials(at, int(key[-1])) @ terms)
 
 
-def _turned(image: FloatArray, axis: int) -> FloatArray:
+def _similarity_columns(image: FloatArray, axis: int) -> FloatArray:
     """Return the columns of the similarity: two shifts, cosine and sine, for x or for y."""
     (line, sample) = image.T
     unit = np.ones(len(image))

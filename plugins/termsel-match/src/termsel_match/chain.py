@@ -245,7 +245,8 @@ def _evidence(image: Path | str, reference: Path | str | None, candidates: Candi
                                             everywhere.shape)).reshape(everywhere.shape)
         else:
             model = Start("the model", candidates.crs, 0.0, result.project, result.locate)
-            overlap, outline, repeats = _shown(references_of(reference), picture, model, dem, masks,
+            overlap, outline, repeats = _ground_shown(references_of(reference), picture, model, dem,
+                                                      masks,
                                     candidates.crs)
             # Chips are smaller than what is looked at.
             if not overlap.any():
@@ -258,8 +259,9 @@ def _evidence(image: Path | str, reference: Path | str | None, candidates: Candi
     return evidence, bounds
 
 
-def _shown(files: list[Path], picture: GreyRaster, model: Start, dem: Path | str,
-           masks: Sequence[Path | str], crs: str) -> tuple[Mask, Bounds, tuple[float, float]]:
+def _ground_shown(files: list[Path], picture: GreyRaster, model: Start, dem: Path | str,
+                  masks: Sequence[Path | str], crs: str) -> tuple[Mask, Bounds,
+                                                                  tuple[float, float]]:
     """Return where an image and any reference show the ground, and the bounds of all of them.
 
     And at which distance the one that is most like itself is so, and how much (`repetition`).

@@ -177,7 +177,7 @@ def register(box: base.Toolbox, role: str, declaration: str | None, genome: Geno
     """
     start, default = OPERATORS[role]
     if declaration is None and role != "select" and genome.dtype != np.bool_:
-        box.register(role, _mated if role == "mate" else _mutated, genome=genome)
+        box.register(role, _mate if role == "mate" else _mutate, genome=genome)
         return
     name, _, arguments = (declaration or default).partition(":")
     # Such as selTournament: the role, then a word that begins with a capital.
@@ -215,15 +215,15 @@ def _argument(text: str) -> tuple[str, Any]:
                            hint="Write KEY=NUMBER, such as selTournament:tournsize=3.") from None
 
 
-def _mated(individual_1: Individual, individual_2: Individual,
-           genome: Genome) -> tuple[Individual, Individual]:
+def _mate(individual_1: Individual, individual_2: Individual,
+          genome: Genome) -> tuple[Individual, Individual]:
     """Cross two individuals in place, with the operators for their types of genes."""
     pair = np.array([individual_1, individual_2], dtype=genome.dtype)
     individual_1[:], individual_2[:] = crossover(pair, genome, 1.0, _rng()).tolist()
     return individual_1, individual_2
 
 
-def _mutated(individual: Individual, genome: Genome) -> tuple[Individual]:
+def _mutate(individual: Individual, genome: Genome) -> tuple[Individual]:
     """Mutate an individual in place, with the operators for its types of genes."""
     genes = np.array([individual], dtype=genome.dtype)
     individual[:] = mutation(genes, genome, 1.0 / genome.size, _rng())[0].tolist()

@@ -74,7 +74,7 @@ class RpcShift(Refinement):
         if named == DATASET_NAME:
             self._rpc = read_rpc(RPC_FILE)
         elif named.startswith("{"):
-            self._rpc, self._file = _from_record(named)
+            self._rpc, self._file = _rpc_from_record(named)
         elif named:
             self._rpc = read_rpc(named)
             self._file = Path(named).name
@@ -176,14 +176,14 @@ class RpcShift(Refinement):
         if not (linear * (1 - np.eye(2))).any():
             return replace(refined, image_scale=tuple(np.diag(scale)))
         if rpc.line_denominator != rpc.sample_denominator:
-            return _absorbed(rpc, linear, refined)
+            return _absorb_denominators(rpc, linear, refined)
         above = np.array([rpc.line_numerator, rpc.sample_numerator])
         # Numerators of both axes mixed: exact, as the denominator is the same.
         line, sample = scale / np.array(rpc.image_scale)[:, None] @ above
         return replace(refined, line_numerator=tuple(line), sample_numerator=tuple(sample))
 
 
-def _absorbed(rpc: Rpc, linear: FloatArray, shifted: Rpc) -> Rpc | None:
+def _absorb_denominators(rpc: Rpc, linear: FloatArray, shifted: Rpc) -> Rpc | None:
     """Return an RPC with the denominators of another one, as near as can be to a linear function of
     its positions; None if that is not near enough anywhere in its image.
 
@@ -231,7 +231,7 @@ def _name(axis: str, column: str) -> str:
     return str(Term(axis, "bias", column))
 
 
-def _from_record(text: str) -> tuple[Rpc, str]:
+def _rpc_from_record(text: str) -> tuple[Rpc, str]:
     """Return an RPC and the name of its file from the JSON that a result holds."""
     try:
         values: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value

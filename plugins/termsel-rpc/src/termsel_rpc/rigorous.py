@@ -131,7 +131,7 @@ class PushbroomRefine(Refinement):
         if not len(geographic):
             return np.zeros((*coefficients.shape[:-1], 0, 2))
         # All sets at once: a point for every set and place.
-        image = self._biased(np.repeat(sets, len(geographic), axis=0)).project(
+        image = self._scanner_with_biases(np.repeat(sets, len(geographic), axis=0)).project(
             np.tile(geographic, (len(sets), 1)))
         return self.scaling.image(image).reshape(*coefficients.shape[:-1], len(geographic), 2)
 
@@ -142,7 +142,7 @@ class PushbroomRefine(Refinement):
         ahead, behind = (self.project(coefficients + sign * steps, ground) for sign in (1, -1))
         return np.asarray(np.moveaxis(ahead - behind, 0, -1) / (2 * _DERIVATIVE_STEP))
 
-    def _biased(self, coefficients: FloatArray) -> Pushbroom:
+    def _scanner_with_biases(self, coefficients: FloatArray) -> Pushbroom:
         """Return the scanner with separate biases for each point, shape (n, k)."""
         assert self.scaling is not None
         sensor = self.sensor

@@ -35,12 +35,12 @@ def nominal_sensor(data_set: str = DATASET_NAME) -> Pushbroom:
     # Time from the middle of the scene to its end [s].
     end = true.centre[0] * true.line_period
     roll = -ROLL * true.ifov, -ROLL_DRIFT * true.ifov / end
-    return replace(true, roll=_changed(true.roll, roll),
-                   pitch=_changed(true.pitch, (-PITCH * true.ifov,)),
-                   yaw=_changed(true.yaw, (-YAW / true.centre[1],)))
+    return replace(true, roll=_changed_rpc(true.roll, roll),
+                   pitch=_changed_rpc(true.pitch, (-PITCH * true.ifov,)),
+                   yaw=_changed_rpc(true.yaw, (-YAW / true.centre[1],)))
 
 
-def _changed(angle: Angle, by: tuple[float, ...]) -> Angle:
+def _changed_rpc(angle: Angle, by: tuple[float, ...]) -> Angle:
     drift = np.array(angle.drift)
     drift[:len(by)] += by
     return Angle(tuple(drift.tolist()))
@@ -60,7 +60,7 @@ def candidates() -> FeatureSet:
         WGS84 longitude, latitude [deg], ellipsoidal height [m].
     """
     scene = simulate_scene(SCENE, n_points=_POINTS, n_lines=0, noise=0.0)
-    return _measured(scene, quality(), np.random.default_rng(_SEED))
+    return _measured_scene(scene, quality(), np.random.default_rng(_SEED))
 
 
 def matches(wrong: float = 0.3, seed: int = 0) -> FeatureSet:
@@ -86,11 +86,11 @@ def matches(wrong: float = 0.3, seed: int = 0) -> FeatureSet:
     rng = np.random.default_rng([seed, 2])
     kind = np.full(len(scene.points), "good", dtype="<U7")
     kind[rng.permutation(control)[:round(wrong * len(control))]] = "wrong"
-    return _measured(scene, kind, rng)
+    return _measured_scene(scene, kind, rng)
 
 
-def _measured(scene: FeatureSet, kind: np.ndarray[tuple[int], np.dtype[np.str_]],
-              rng: np.random.Generator) -> FeatureSet:
+def _measured_scene(scene: FeatureSet, kind: np.ndarray[tuple[int], np.dtype[np.str_]],
+                    rng: np.random.Generator) -> FeatureSet:
     """Return a scene without noise, with its points measured well, inexactly or wrongly."""
     points = scene.points
     n = len(points)

@@ -121,7 +121,7 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, WithOptions):  # ty
         self._columns = None if np.ndim(y) == 1 else image.shape[1]
         # One image coordinate stands for both, of which `predict` returns one.
         image = np.broadcast_to(image, (len(X), 2))
-        positions, image, weights = _merged(X, image, weights_of(sample_weight, X))
+        positions, image, weights = _merge_points(X, image, weights_of(sample_weight, X))
         # Only ratios count: with equal weights there are no standard deviations to state.
         sigma = None if np.ptp(weights) == 0 else \
             np.column_stack([np.sqrt(weights.mean() / weights)] * 2)
@@ -183,8 +183,8 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, WithOptions):  # ty
         return Polynomial3D if polynomial else super()._taken()
 
 
-def _merged(X: FloatArray, image: FloatArray, weights: FloatArray,
-            ) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _merge_points(X: FloatArray, image: FloatArray, weights: FloatArray,
+                  ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return points without those of weight 0, those of one place as their weighted mean."""
     use = weights > 0
     X = X[use]

@@ -35,7 +35,7 @@ def claims(groups: Groups, comparison: Comparison | None, rows: list[Row]) -> li
         sentences.append("There is one method, so nothing is compared." if groups.methods else
                          "No cell is finished, so nothing is compared.")
     elif comparison is None:
-        sentences += _single(groups)
+        sentences += _claim_of_single(groups)
     else:
         sentences += _over_instances(comparison)
         # Tests take instances for independent of each other, which splits of the same data are not.
@@ -52,7 +52,7 @@ def claims(groups: Groups, comparison: Comparison | None, rows: list[Row]) -> li
     return sentences
 
 
-def _single(groups: Groups) -> list[str]:
+def _claim_of_single(groups: Groups) -> list[str]:
     """Return what can be said without a test over instances."""
     number = len(groups.common)
     total = len(groups.instances)

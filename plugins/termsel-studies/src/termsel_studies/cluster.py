@@ -43,14 +43,14 @@ def on_cluster(cells: Sequence[Cell], features: Mapping[str, FeatureSet], stop: 
     fruitless = 0
     while waiting and not stop():
         before = len(waiting)
-        client = _connected(address)
+        client = _connect(address)
         running: dict[Future, Cell] = {}
         try:
             # Others would compute something else, or nothing.
             for worker, versions_there in sorted(client.run(versions_here,
                                                             tuple(required)).items()):
                 require_alike(required, versions_there, worker)
-            yield from _submitted(client, waiting, running, features, stop, required)
+            yield from _submit_cells(client, waiting, running, features, stop, required)
         except OSError as error:
             log.warning("The scheduler %s was lost: %s", address, error)
         finally:
@@ -65,7 +65,7 @@ def on_cluster(cells: Sequence[Cell], features: Mapping[str, FeatureSet], stop: 
                                hint="Look at its log. The finished cells are kept.")
 
 
-def _connected(address: str) -> Client:
+def _connect(address: str) -> Client:
     """Return a client of a scheduler that has workers; wait for these, and say so."""
     from distributed import Client
 
@@ -124,9 +124,9 @@ def versions_here(names: tuple[str, ...]) -> dict[str, str | None]:
     return {name: packages.get(name, plugins.get(name)) for name in names}
 
 
-def _submitted(client: Client, waiting: deque[Cell], running: dict[Future, Cell],
-               features: Mapping[str, FeatureSet], stop: Stop, required: Mapping[str, str]
-               ) -> Iterator[Outcome]:
+def _submit_cells(client: Client, waiting: deque[Cell], running: dict[Future, Cell],
+                  features: Mapping[str, FeatureSet], stop: Stop, required: Mapping[str, str]
+                  ) -> Iterator[Outcome]:
     """Yield outcomes until all are done or the scheduler is lost; then some are still running."""
     from distributed.scheduler import KilledWorker
 
@@ -140,7 +140,7 @@ def _submitted(client: Client, waiting: deque[Cell], running: dict[Future, Cell]
         ahead = AHEAD * max(sum(client.nthreads().values()), 1)
         while waiting and len(running) < ahead and not stop():
             cell = waiting.popleft()
-            future = client.submit(_on_worker, cell, data[cell.data.key], dict(required),
+            future = client.submit(_run_on_worker, cell, data[cell.data.key], dict(required),
                                    pure=False,
                                    key=f"termsel-cell-{cell.key}-{time.monotonic_ns()}")
             running[future] = cell
@@ -171,7 +171,7 @@ def _held(features: FeatureSet) -> FeatureSet:
     return features
 
 
-def _on_worker(cell: Cell, features: FeatureSet, required: Mapping[str, str]) -> Outcome:
+def _run_on_worker(cell: Cell, features: FeatureSet, required: Mapping[str, str]) -> Outcome:
     """Run a cell on a worker, which may have come after the study began."""
     from distributed import get_worker
 

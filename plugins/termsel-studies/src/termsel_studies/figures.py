@@ -100,7 +100,7 @@ def _shares(rows: list[dict[str, Any]], methods: tuple[str, ...], x: str, of_x: 
         x=alt.X(x, title=f"{of_x}, logarithmic", scale=alt.Scale(type="log", nice=False)),
         y=alt.Y("share:Q", title=of_shares, scale=alt.Scale(domain=[0, 1]),
                 axis=alt.Axis(format="%")),
-        **_by_method(methods)).properties(width=WIDTH, height=0.55 * WIDTH)
+        **_styles_by_method(methods)).properties(width=WIDTH, height=0.55 * WIDTH)
 
 
 def convergence(groups: Groups) -> Figure:
@@ -121,7 +121,7 @@ def convergence(groups: Groups) -> Figure:
                       "median": median, "high": high}
                      for budget, low, median, high in bands(traces, budgets.tolist())
                      if math.isfinite(high)]
-    by_method = _by_method(groups.methods)
+    by_method = _styles_by_method(groups.methods)
     ends_of_bands = [row["low"] for row in rows] + [row["high"] for row in rows]
     scale, kind = spread_scale(ends_of_bands, zero=False)
     base = alt.Chart(chart_rows(rows)).encode(color=by_method["color"], x=alt.X(
@@ -196,7 +196,7 @@ def alike(ranks: list[float], difference: float) -> list[tuple[float, float]]:
     return runs
 
 
-def _by_method(methods: tuple[str, ...]) -> dict[str, Any]:
+def _styles_by_method(methods: tuple[str, ...]) -> dict[str, Any]:
     """Return colours, dashes and widths of methods.
 
     Colours and dashes together distinguish three times as many. The first lines are the widest,

@@ -172,7 +172,7 @@ def stability(
             outcome = search(redrawn.problem, redrawn.solver, seed=seed + repetition,
                              generations=generations, evaluations=evaluations, seconds=seconds,
                              patience=patience, **redrawn.options["search"],
-                             observers=[_of_all(observe, repetition, repeats)
+                             observers=[_observer_of_all(observe, repetition, repeats)
                                         for observe in observers])
             # A search that was interrupted is no selection like the others.
             interrupted = outcome.interrupted
@@ -189,14 +189,14 @@ def stability(
             break
     selections = np.array(rows)
     is_stable = selections.mean(axis=0) >= threshold
-    determined, rmse = _fitted(task, is_stable)
+    determined, rmse = _fit_terms(task, is_stable)
     return Stability(
         terms=task.model.terms, selections=selections, threshold=threshold,
         stable=select(task.model.terms, is_stable), determined=determined, rmse=rmse,
         interrupted=interrupted)
 
 
-def _of_all(observe: Observer, repetition: int, repeats: int) -> Observer:
+def _observer_of_all(observe: Observer, repetition: int, repeats: int) -> Observer:
     """Return an observer of one repetition, which tells `observe` the share of all of them."""
     def told(progress: Progress) -> None:
         observe(replace(progress, share=(repetition + (progress.share or 0.0)) / repeats,
@@ -233,7 +233,7 @@ def _with_drawn_roles(task: Task, rng: np.random.Generator) -> FeatureSet:
     return features.with_(points=replace(points, roles=tuple(roles)), lines=lines)
 
 
-def _fitted(task: Task, is_stable: BoolArray) -> tuple[bool, dict[str, Rmse | None]]:
+def _fit_terms(task: Task, is_stable: BoolArray) -> tuple[bool, dict[str, Rmse | None]]:
     """Return whether terms are a model of control and check together, and its RMSE."""
     control_and_check = task.observations.together
     axis = task.model.axis

@@ -73,9 +73,9 @@ def group(rows: Sequence[Row], records: Mapping[str, CellRecord],
             of_instance.append(label)
     instances: dict[str, dict[str, Runs]] = {}
     for row in rows:
-        name = ", ".join(_shown(row, label) for label in of_instance)
+        name = ", ".join(_group_in_words(row, label) for label in of_instance)
         runs = instances.setdefault(name, {}).setdefault(
-            ", ".join(_shown(row, label) for label in of_method), Runs())
+            ", ".join(_group_in_words(row, label) for label in of_method), Runs())
         # Lower is better in all measures, and no result is the worst of all.
         value = row.get(measure)
         runs.rows.append(row)
@@ -117,5 +117,5 @@ def _values(row: Row, labels: Sequence[str]) -> tuple[Any, ...]:
     return tuple(row[label] for label in labels)
 
 
-def _shown(row: Row, label: str) -> str:
+def _group_in_words(row: Row, label: str) -> str:
     return f"split {row[label]}" if label == "split" else str(row[label])

@@ -75,7 +75,7 @@ def tables_of(study: Study, *, brief: bool = False) -> tuple[list[TableBlock], l
               f"{pair.corrected:.2g}") for pair in comparison.pairs]))
     # What failed is named with its reason: it counts as worst above.
     tables.append(TableBlock("Cells without a result", ("cell", "state", "reason"), [
-        (_named(row), row["state"], row["reason"]) for row in rows
+        (_name_of_page(row), row["state"], row["reason"]) for row in rows
         if row["state"] in ("failed", "infeasible")]))
     return [table for table in tables if table.rows], claims(groups, comparison, rows)
 
@@ -150,7 +150,7 @@ def _title(name: str, optimum: float | None) -> str:
     return name if optimum is None else f"{name}: proven optimum {optimum:.4f}"
 
 
-def _named(row: Row) -> str:
+def _name_of_page(row: Row) -> str:
     return ", ".join(str(row[name]) for name in ("problem", "data", "model", "solver", "seed")
                      if row[name] not in ("", None))
 

@@ -89,7 +89,8 @@ class BidiagonalSolutions:
         """Return what the solutions leave of a target (m,), shape (u, m)."""
         along = (self._rotation @ target).T.take(self._form, axis=1)                    # (m, u)
         residuals = np.zeros((len(self._form), len(target)))
-        _add_residuals(self._root, self._upper, along, self._rotation, self._form, residuals)
+        _add_shrunken_residuals(self._root, self._upper, along, self._rotation, self._form,
+                                residuals)
         return residuals
 
     def redundancies(self, directions: FloatArray) -> FloatArray:
@@ -270,8 +271,9 @@ def _fill_factors(diagonal: FloatArray, below: FloatArray, squared_sizes: FloatA
 
 
 @_compiled
-def _add_residuals(root: FloatArray, upper: FloatArray, along: FloatArray, rotation: FloatArray,
-                   form: IntArray, residuals: FloatArray) -> None:
+def _add_shrunken_residuals(root: FloatArray, upper: FloatArray, along: FloatArray,
+                            rotation: FloatArray,
+                            form: IntArray, residuals: FloatArray) -> None:
     """Add U w, R'R w = U'y; U'y, (m, u), is overwritten by w."""
     m, count = root.shape
     for i in range(m):

@@ -152,7 +152,7 @@ def _flights(rng: np.random.Generator, heading: FloatArray, latitude: float, til
         np.sqrt(along_ray**2 - EARTH_RADIUS**2 + radius**2) - along_ray)[:, None]
     up = station / radius[:, None]
     ahead = np.stack([np.sin(heading), np.cos(heading), np.zeros(len(tilt))], axis=1)
-    ahead = _unit(ahead - up * (ahead * up).sum(axis=1, keepdims=True))
+    ahead = _unit_vectors(ahead - up * (ahead * up).sum(axis=1, keepdims=True))
     # Kepler: the square of the angular speed is G M / r^3.
     return _Flights(station, ray, np.cross(up, ahead), np.sqrt(GRAVITY_CONSTANT / radius**3),
                     np.stack([np.zeros(len(tilt)), np.cos(lat), np.sin(lat)], axis=1))
@@ -176,7 +176,7 @@ def scanner_views(positions: FloatArray, azimuth: float,
     ray = flights.ray
     x = np.broadcast_to([np.sin(azimuth), np.cos(azimuth), 0.0], (n, 3))
     # The line of the scan, at right angles to the ray.
-    x = _unit(x + ray * -(x * ray).sum(axis=1, keepdims=True))
+    x = _unit_vectors(x + ray * -(x * ray).sum(axis=1, keepdims=True))
     axes = np.stack([x, np.cross(-ray, x), -ray], axis=2)
 
     def view(time: FloatArray) -> FloatArray:
@@ -283,7 +283,7 @@ def _views_at_sight(view: Callable[[FloatArray], FloatArray], positions: FloatAr
     return np.moveaxis(views[:, valid], 0, -1)
 
 
-def _unit(vectors: FloatArray) -> FloatArray:
+def _unit_vectors(vectors: FloatArray) -> FloatArray:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 

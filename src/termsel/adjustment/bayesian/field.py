@@ -227,7 +227,7 @@ class GaussianProcess:
     def effective(self) -> float:
         """Effective parameters of line and sample together."""
         total = 0.0
-        for share, solution in self._likely:
+        for share, solution in self._likely_solutions:
             for axis in (0, 1):
                 total += share * solution.posterior.mean(axis)[1]
         return float(total)
@@ -241,7 +241,7 @@ class GaussianProcess:
         return self.held_out.errors / weights_of(self.points)
 
     @cached_property
-    def _likely(self) -> list[tuple[float, FieldSolutions]]:
+    def _likely_solutions(self) -> list[tuple[float, FieldSolutions]]:
         """Solutions that matter, with their probabilities."""
         # What is exp(-MAX_LOG_RATIO) of the likeliest would not change a digit.
         highest = max(solution.log_evidence for solution in self.solutions)
@@ -252,7 +252,7 @@ class GaussianProcess:
     @cached_property
     def held_out(self) -> HeldOutPredictions:
         """What all points but one predict for it, for each point, under all solutions."""
-        solutions = [solution for _, solution in self._likely]
+        solutions = [solution for _, solution in self._likely_solutions]
         predictions = [solution.posterior.held_out for solution in solutions]
         logs = np.empty((len(solutions), len(self.points)))
         for i, (solution, prediction) in enumerate(zip(solutions, predictions, strict=True)):
@@ -274,7 +274,7 @@ class GaussianProcess:
     def blunder_odds(self, points: IntArray) -> FloatArray:
         """Return how much likelier points are as blunders (see `blunder_odds`)."""
         return blunder_odds([(share, solution.posterior, solution.lengths is not None)
-                             for share, solution in self._likely], points)
+                             for share, solution in self._likely_solutions], points)
 
     def predict(self, ground: FloatArray) -> FloatArray:
         """Return line and sample of places, shape (m, 2)."""
@@ -300,8 +300,8 @@ class GaussianProcess:
         for share, solution in zip(self.probabilities, self.solutions, strict=True):
             if share <= NEGLIGIBLE_PROBABILITY:
                 continue
-            spanned = _with_field(columns, positions, self.knots, solution.lengths,
-                                  solution.whitening)
+            spanned = _columns_with_field(columns, positions, self.knots, solution.lengths,
+                                          solution.whitening)
             unspanned = None
             if solution.lengths is not None:
                 # Away from the knots the field has a variance that their covariances do not span.
@@ -333,10 +333,10 @@ class GaussianProcess:
         fields = []
         columns = monomials(self.points.ground, self.exponents)
         positions = columns[:, :lead] @ self.to_image
-        for share, solution in self._likely:
+        for share, solution in self._likely_solutions:
             shrunk = np.stack([solution.posterior.mean(axis)[0] for axis in (0, 1)], axis=1)
-            spanned = _with_field(columns, positions, self.knots, solution.lengths,
-                                  solution.whitening)
+            spanned = _columns_with_field(columns, positions, self.knots, solution.lengths,
+                                          solution.whitening)
             affine_targets += share * (self.points.image - spanned[:, lead:] @ shrunk)
             total[lead:] += share * shrunk[:terms - lead]
             if solution.lengths and share > NEGLIGIBLE_PROBABILITY:
@@ -389,8 +389,8 @@ def _cached_gaussian_process(measurements: Measurements,
     at_once = len(FIELD_LENGTHS) if knots is positions else 1
     for start in range(0, len(FIELD_LENGTHS), at_once):
         batch = FIELD_LENGTHS[start:start + at_once]
-        whitenings = [_whitening(knots, lengths) for lengths in batch]
-        shrunken = np.array([_with_field(own, positions, knots, lengths, whitening)
+        whitenings = [_whitening_matrix(knots, lengths) for lengths in batch]
+        shrunken = np.array([_columns_with_field(own, positions, knots, lengths, whitening)
                              for lengths, whitening in zip(batch, whitenings, strict=True)])
         grids = posteriors(lead, shrunken, points.image, weights, scales, len(shrunk))
         if grids is None:
@@ -399,9 +399,10 @@ def _cached_gaussian_process(measurements: Measurements,
         highest = max(solution.log_evidence for solution in solutions)
         solutions[1:] = [solution.without_unlikely(highest) for solution in solutions[1:]]
     if spline_weight > 0.0:  # next to affine functions alone, all of one scale
-        whitening = _whitening(knots, SPLINE_LENGTHS)
+        whitening = _whitening_matrix(knots, SPLINE_LENGTHS)
         grids = posteriors(
-            lead, _with_field(own, positions, knots, SPLINE_LENGTHS, whitening)[None], points.image,
+            lead, _columns_with_field(own, positions, knots, SPLINE_LENGTHS,
+                                      whitening)[None], points.image,
             weights, np.repeat([[0.0, 1.0]], [len(shrunk), len(whitening)], axis=1), len(shrunk))
         if grids is None:
             return None
@@ -470,8 +471,8 @@ def _prior_probability(lengths: tuple[float, float] | None) -> float:
                                 / (len(FIELD_LENGTHS) - n_equal))
 
 
-def _with_field(columns: FloatArray, positions: FloatArray, knots: FloatArray,
-                lengths: tuple[float, float] | None, whitening: FloatArray) -> FloatArray:
+def _columns_with_field(columns: FloatArray, positions: FloatArray, knots: FloatArray,
+                        lengths: tuple[float, float] | None, whitening: FloatArray) -> FloatArray:
     """Return the monomials, and the columns that span a field of some lengths."""
     if lengths is None:
         return columns
@@ -479,7 +480,7 @@ def _with_field(columns: FloatArray, positions: FloatArray, knots: FloatArray,
         [columns, _covariances(positions, knots, lengths) @ whitening.T], axis=1)
 
 
-def _whitening(knots: FloatArray, lengths: tuple[float, float] | None) -> FloatArray:
+def _whitening_matrix(knots: FloatArray, lengths: tuple[float, float] | None) -> FloatArray:
     """Return what makes coefficients of a field uncorrelated, of one variance, shape (c, k)."""
     if lengths is None:
         return np.empty((0, 0))
@@ -497,7 +498,7 @@ def _covariances(positions: FloatArray, knots: FloatArray,
                  lengths: tuple[float, float]) -> FloatArray:
     """Return covariances of places with knots, shape (m, k)."""
     if lengths != SPLINE_LENGTHS:
-        return _matern(positions, knots, lengths)
+        return _matern_correlations(positions, knots, lengths)
     return spline_field(knots).covariances(positions)
 
 
@@ -509,7 +510,7 @@ def _variances(positions: FloatArray, knots: FloatArray,
     return spline_field(knots).variances(positions)
 
 
-def _matern(a: FloatArray, b: FloatArray, lengths: tuple[float, float]) -> FloatArray:
+def _matern_correlations(a: FloatArray, b: FloatArray, lengths: tuple[float, float]) -> FloatArray:
     """Return the correlations between places, shape (len(a), len(b))."""
     # Matern with nu = 3/2: (1 + r) exp(-r), r = sqrt(3) times the distance by lengths.
     r = squared_distances(a * np.sqrt(3.0) / lengths, b * np.sqrt(3.0) / lengths)

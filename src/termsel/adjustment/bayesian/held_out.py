@@ -103,9 +103,10 @@ def leave_each_point_out(line: AxisErrors, sample: AxisErrors, cells: WeightedCe
                 sample=np.empty((4, len(sample.redundancies), width)),
                 excess=np.empty((len(weight), width)), share=np.empty(CELLS_AT_ONCE * width),
                 power=np.empty(CELLS_AT_ONCE * width), sums=np.empty((9, width)))
-        _leave_out(line, sample, square=cells.square, min_square=cells.min_square, weight=weight,
-                   half=half, lowest=np.exp(MIN_LOG_POWER / half), start=start,
-                   workspace=workspace, figures=figures)
+        _fill_held_out_figures(line, sample, square=cells.square, min_square=cells.min_square,
+                               weight=weight,
+                               half=half, lowest=np.exp(MIN_LOG_POWER / half), start=start,
+                               workspace=workspace, figures=figures)
     return HeldOutPredictions(figures[:, :2], figures[:, 2], figures[:, 3], figures[:, 4:6],
                               cells.log_evidence + figures[:, 6])
 
@@ -157,7 +158,7 @@ def _multiply_by_power(power: FloatArray, exponent: int, count: int, share: Floa
 
 
 @_compiled
-def _fill_axis(axis: AxisErrors, start: int, m: int, of_axis: FloatArray) -> None:
+def _fill_axis_figures(axis: AxisErrors, start: int, m: int, of_axis: FloatArray) -> None:
     """Fill in 1 / l, its root, e / l and e^2 / l of m points."""
     for u in range(len(axis.redundancies)):
         for p in range(m):
@@ -170,14 +171,16 @@ def _fill_axis(axis: AxisErrors, start: int, m: int, of_axis: FloatArray) -> Non
 
 
 @_compiled
-def _leave_out(line: AxisErrors, sample: AxisErrors, square: FloatArray, min_square: FloatArray,
-               weight: FloatArray, half: int, lowest: float, start: int, workspace: _Workspace,
-               figures: FloatArray) -> None:
+def _fill_held_out_figures(line: AxisErrors, sample: AxisErrors, square: FloatArray,
+                           min_square: FloatArray,
+                           weight: FloatArray, half: int, lowest: float, start: int,
+                           workspace: _Workspace,
+                           figures: FloatArray) -> None:
     """Fill rows of `figures`: two errors, chance, statistic, two variances, logarithm."""
     of_line, of_sample, excess, share, power, sums = workspace
     m = of_line.shape[2]
-    _fill_axis(line, start, m, of_line)
-    _fill_axis(sample, start, m, of_sample)
+    _fill_axis_figures(line, start, m, of_line)
+    _fill_axis_figures(sample, start, m, of_sample)
     # Sums over the cells: 0 the largest S / S' - 1, 1 what is left of the factor without its power,
     # 2 and 3 probability with S / S' - 1 and alone, 4 and 5 of line with e / l and 1 / l, 6 and 7
     # of sample. Row 8 is 1 over the largest S / S'.
@@ -234,4 +237,4 @@ def _leave_out(line: AxisErrors, sample: AxisErrors, square: FloatArray, min_squ
 
 def needs_compilation(points: int) -> bool:
     """Return whether so many points will first spend some seconds on compilation."""
-    return points >= MIN_POINTS and not is_compiled(_leave_out)
+    return points >= MIN_POINTS and not is_compiled(_fill_held_out_figures)

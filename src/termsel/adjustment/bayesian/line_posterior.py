@@ -85,18 +85,18 @@ class LinePosterior:
         """Return measured minus predicted of all rows, each by the other features, shape (m,)."""
         errors = np.empty(self.errors.shape[1])
         for group in self.groups:
-            held_out, share, _, _ = self._without(group.redundancy, group.rows)
+            held_out, share, _, _ = self._held_out_errors_and_weights(group.redundancy, group.rows)
             errors[group.rows] = np.einsum("cf,crf->fr", share, held_out)
         return errors
 
-    def _without(self, redundancy: FloatArray, rows: IntArray,
-                 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    def _held_out_errors_and_weights(self, redundancy: FloatArray, rows: IntArray,
+                                     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return errors of features (c, r, f), each held out with its rows (f, r); then, (c, f),
         the probabilities of the solutions without it, sums of squares, and how much less they are.
         """
         fitted = self.errors[:, rows.T]
         # (I - H)^-1 e: the errors without the feature, all of its rows held out.
-        held_out, determinant = _solved(redundancy, fitted)
+        held_out, determinant = _solve_by_cholesky(redundancy, fitted)
         quadratic = (held_out * fitted).sum(axis=1)
         other_squares = np.maximum(self.square[:, None] - quadratic,
                                    MIN_REDUNDANCY * self.square[:, None])
@@ -121,7 +121,8 @@ class LinePosterior:
                 feature = group.feature[selected]
                 rows = group.rows[selected]
                 redundancy = group.redundancy if selected.all() else group.redundancy[..., selected]
-                held_out, share, other_squares, quadratic = self._without(redundancy, rows)
+                held_out, share, other_squares, quadratic = \
+                    self._held_out_errors_and_weights(redundancy, rows)
                 if in_use:
                     freedom = self.freedom - rows.shape[1]
                     variance = other_squares / freedom
@@ -132,7 +133,7 @@ class LinePosterior:
                     # Its rows are multiplied by a tiny weight: back to the unit of the others.
                     held_out /= weight
                     covariance = identity + (identity - redundancy) / weight**2
-                    quadratic = (held_out * _solved(covariance, held_out)[0]).sum(axis=1)
+                    quadratic = (held_out * _solve_by_cholesky(covariance, held_out)[0]).sum(axis=1)
                     share = self.share[:, None]
                     freedom = self.freedom
                     variance = self.square[:, None] / freedom
@@ -148,7 +149,7 @@ class LinePosterior:
 
 
 # Nearly all features have two rows, and of these there are hundreds of thousands.
-def _solved(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _solve_by_cholesky(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return a^-1 b (c, r, f) and the determinants (c, f) of symmetric matrices (c, r, r, f)."""
     if b.shape[1] != 2:
         matrices = np.moveaxis(a, 3, 1)
@@ -212,7 +213,7 @@ def line_posterior(equations: Equations, exponents: Exponents, draws: int,
     scales = scales_of(powers[order > 1], draws)
     count = int(free.sum())
     freedom = in_use - count
-    by_row_count = _by_row_count(equations.feature)
+    by_row_count = _features_by_row_count(equations.feature)
     if freedom - max(rows.shape[1] for _, rows in by_row_count) < 2 or len(A) <= count:
         return None
     q, r = np.linalg.qr(np.concatenate([A[:, free], A[:, ~free]], axis=1))
@@ -271,7 +272,7 @@ def line_posterior(equations: Equations, exponents: Exponents, draws: int,
         effective=count + (1.0 - shrink).sum(axis=1), freedom=freedom)
 
 
-def _by_row_count(feature: IntArray) -> list[tuple[IntArray, IntArray]]:
+def _features_by_row_count(feature: IntArray) -> list[tuple[IntArray, IntArray]]:
     """Return the features of each number of rows, (f,), and their rows, (f, r)."""
     number = np.bincount(feature)
     order = np.argsort(feature, kind="stable")

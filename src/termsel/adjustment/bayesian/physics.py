@@ -201,8 +201,8 @@ class CameraEquations:
         self.columns = columns
         self.image = image
         self.weights = weights
-        lead = _both_axes(columns[:, :N_FREE], weights)
-        shrunken = _both_axes(columns[:, N_FREE:], weights)
+        lead = _stack_axes(columns[:, :N_FREE], weights)
+        shrunken = _stack_axes(columns[:, N_FREE:], weights)
         # The complement of what free columns span: what remains does not depend on them.
         q, r = np.linalg.qr(lead, mode="complete")
         self.lead = r[:2 * N_FREE]
@@ -322,7 +322,7 @@ class CameraSolutions:
         variance = np.empty((len(self.share), len(columns), 2))
         count = len(columns)
         for axis in (0, 1):
-            lead, rest = (_both_axes(part, np.ones((count, 2)))[axis * count:(axis + 1) * count]
+            lead, rest = (_stack_axes(part, np.ones((count, 2)))[axis * count:(axis + 1) * count]
                           for part in (columns[:, :N_FREE], columns[:, N_FREE:]))
             # What free coefficients take of a place's columns.
             q = np.linalg.solve(equations.lead.T, lead.T).T
@@ -361,19 +361,20 @@ def log_marginal_likelihood(posterior: Posterior, of_heights: FloatArray | None,
     log = log - sum(np.log(np.abs(np.diag(design.lead))).sum() for design in posterior.designs)
     mean_square = float(posterior.cells.share @ (posterior.square / posterior.freedom))
     log_noise = 0.5 * np.log(mean_square) - np.log(pixel)
-    log += _density(log_noise - np.log(NOISE_MEDIAN), NOISE_LOG_DEVIATION)
+    log += _log_normal_density(log_noise - np.log(NOISE_MEDIAN), NOISE_LOG_DEVIATION)
     if of_heights is not None:
         # A height has the effect of views from the air or space: PARALLAX of it, at most.
-        log += sum(_density(coefficient, PARALLAX * height) for coefficient in of_heights)
+        log += sum(_log_normal_density(coefficient, PARALLAX * height)
+                   for coefficient in of_heights)
     return float(log)
 
 
-def _density(value: float, deviation: float) -> float:
+def _log_normal_density(value: float, deviation: float) -> float:
     """Return the logarithm of a normal density."""
     return float(-0.5 * (value / deviation) ** 2 - np.log(deviation * np.sqrt(2 * np.pi)))
 
 
-def _both_axes(columns: FloatArray, weights: FloatArray) -> FloatArray:
+def _stack_axes(columns: FloatArray, weights: FloatArray) -> FloatArray:
     """Return the rows of line, then those of sample, each with columns of its own."""
     (n, k) = columns.shape
     rows = np.zeros((2 * len(columns), 2 * columns.shape[1]))

@@ -125,7 +125,8 @@ def _axis_evidence(designs: Sequence[Design], targets: FloatArray) -> list[list[
     log_prior = log_prior_of_sizes()
     evidence = []
     for design, projected, shared in zip(designs, projections,
-                                         _evidence_of_shared(designs, projections), strict=True):
+                                         _evidence_with_shared_scales(designs,
+                                                                      projections), strict=True):
         log_factor, squares = shared or evidence_of(design.forms, projected, PRIOR_SIZES)
         log_factor = (log_factor + log_prior).ravel()
         # What no column explains is in the sum of squares of every solution.
@@ -135,8 +136,8 @@ def _axis_evidence(designs: Sequence[Design], targets: FloatArray) -> list[list[
     return evidence
 
 
-def _evidence_of_shared(designs: Sequence[Design], projections: FloatArray,
-                        ) -> list[tuple[FloatArray, FloatArray] | None]:
+def _evidence_with_shared_scales(designs: Sequence[Design], projections: FloatArray,
+                                 ) -> list[tuple[FloatArray, FloatArray] | None]:
     """Return log factors, (g, s), and sums of squares, (a, g, s), in the basis of each design.
 
     By one decomposition for all groups, that of the columns of one scale. With W what a size leaves
@@ -407,13 +408,13 @@ def polynomial_posterior(ground: FloatArray, image: FloatArray, exponents: Expon
     The ground (n, 3) is scaled to [-1, 1], the image is (n, 2), of the k exponents affine ones come
     first; the equations are multiplied by the weights (n, 2), if any.
     """
-    return _of_polynomial(ground.tobytes(), image.tobytes(), exponents,
-                          None if weights is None else weights.tobytes())
+    return _cached_polynomial_posterior(ground.tobytes(), image.tobytes(), exponents,
+                                        None if weights is None else weights.tobytes())
 
 
 @lru_cache(maxsize=2)
-def _of_polynomial(ground: bytes, image: bytes, exponents: Exponents,
-                   weights: bytes | None) -> Posterior | None:
+def _cached_polynomial_posterior(ground: bytes, image: bytes, exponents: Exponents,
+                                 weights: bytes | None) -> Posterior | None:
     """Return the same; a regularised polynomial, and a field that may be none, ask for one."""
     powers = np.array(exponents)
     order = powers.sum(axis=1)

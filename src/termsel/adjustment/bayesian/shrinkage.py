@@ -139,13 +139,13 @@ def designs_of(lead: FloatArray, shrunken: FloatArray, scales: FloatArray,
             or (1.0 - (q[:, :f]**2).sum(axis=1)).min() < TOLERANCE:
         return None
     in_basis = np.array([projections[f:] for *_, projections in factors])
-    decompositions = [None] * len(factors) if n_own == k else _decomposed(in_basis[:, :, n_own:])
+    decompositions = [None] * len(factors) if n_own == k else _left_singular(in_basis[:, :, n_own:])
     return [Design(q[:, f:], q, columns, scales, triangle, projections[:f], n_own, decomposition)
             for (q, triangle, projections), columns, decomposition in zip(
                 factors, in_basis, decompositions, strict=True)]
 
 
-def _decomposed(columns: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+def _left_singular(columns: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
     """Return left singular vectors and singular values of columns (d, m, k)."""
     squares, u = np.linalg.eigh(columns @ columns.swapaxes(1, 2))
     return list(zip(u, np.sqrt(np.maximum(squares, 0.0)), strict=True))

@@ -179,7 +179,7 @@ class RunOptions:
         if self.dataset is not None and self.files:
             raise TermselError("--dataset cannot be combined with files",
                                hint="Give --dataset NAME, or --points FILE and --lines FILE.")
-        for name, value in self._of_files.items():
+        for name, value in self._options_of_files.items():
             if value and not self.files:
                 raise TermselError(f"{name} requires --points or --lines",
                                    hint=f"Give --points FILE, or leave {name} out.")
@@ -197,7 +197,7 @@ class RunOptions:
         return [path for path in (self.points, self.lines, self.areas) if path is not None]
 
     @property
-    def _of_files(self) -> dict[str, Any]:
+    def _options_of_files(self) -> dict[str, Any]:
         return {"--format": self.formats, "--dem": self.dem, "--raster": self.raster,
                 "--rpc": self.rpc, "--image": self.image, "--image-lines": self.image_lines,
                 "--columns": self.columns, "--crs": self.crs}
@@ -309,7 +309,7 @@ class RunOptions:
         words = ["termsel", "run", "--problem", problem]
         # In the order in which a user would type them.
         data = {"--dataset": self.dataset, "--points": self.points, "--lines": self.lines,
-                "--areas": self.areas, **self._of_files, "--model": self.model,
+                "--areas": self.areas, **self._options_of_files, "--model": self.model,
                 "--solver": solver, "--criterion": criterion,
                 "--set": tuple(f"{key}={value}" for key, value in settings.items())}
         for name, value in data.items():

@@ -48,7 +48,7 @@ def _held(folder: Path, hint: str) -> Iterator[FileIO]:
     for i in range(5):
         if i:
             time.sleep(0.1)
-        with _opened(folder, "a+b") as file:
+        with _opened_lock(folder, "a+b") as file:
             if not _free(file, folder):
                 continue
             # A lock on a removed file would exclude nobody.
@@ -90,7 +90,7 @@ def holder(folder: Path) -> str | None:
     """Return who is at work in a folder: process, machine and since when; None if nobody is."""
     if not inside(folder, LOCK).exists():
         return None
-    with _opened(folder, "r+b") as file:
+    with _opened_lock(folder, "r+b") as file:
         if _free(file, folder):
             return None
         # Held by another process: it wrote its name at the beginning.
@@ -99,7 +99,7 @@ def holder(folder: Path) -> str | None:
 
 
 @contextmanager
-def _opened(folder: Path, mode: Literal["a+b", "r+b"]) -> Iterator[FileIO]:
+def _opened_lock(folder: Path, mode: Literal["a+b", "r+b"]) -> Iterator[FileIO]:
     """Yield the open file of a folder's lock; a link in its place is not followed."""
     try:
         file = open(folder / LOCK, mode, buffering=0,  # noqa: SIM115 (closed below)

@@ -177,8 +177,8 @@ def utf8_name(path: Path | str) -> Iterator[Path | str]:
         # Files with the same stem are linked too, as GDAL looks for them next to an image.
         for file in (path, *path.parent.glob(f"{glob.escape(path.stem)}*")):
             with suppress(FileExistsError):
-                (folder / _in_utf8(file.name)).symlink_to(file.absolute())
-        yield folder / _in_utf8(path.name)
+                (folder / _is_in_utf8(file.name)).symlink_to(file.absolute())
+        yield folder / _is_in_utf8(path.name)
 
 
 @contextmanager
@@ -202,5 +202,5 @@ def _is_utf8(path: Path) -> bool:
     return True
 
 
-def _in_utf8(name: str) -> str:
+def _is_in_utf8(name: str) -> str:
     return os.fsencode(name).decode("utf-8", errors="replace")

@@ -19,7 +19,7 @@ def reason_of(error: BaseException, *paths: Path) -> str:
     GDAL often says only that something failed before. `paths` are the folders or files that were
     written: where one of their disks is full, that is the reason.
     """
-    chain = list(_chain(error))
+    chain = list(_exception_chain(error))
     messages = [str(error_of_chain).strip() for error_of_chain in chain]
     says_full = any(mark in " ".join(messages) for mark in _FULL)
     full_codes = (errno.ENOSPC, errno.EDQUOT)
@@ -33,7 +33,7 @@ def reason_of(error: BaseException, *paths: Path) -> str:
     return messages[0].replace(_NOTHING, "").strip(" .") or type(error).__name__
 
 
-def _chain(error: BaseException | None) -> Iterator[BaseException]:
+def _exception_chain(error: BaseException | None) -> Iterator[BaseException]:
     """Yield an exception and those that it came of."""
     visited: set[int] = set()
     # An exception may be its own cause through others.

@@ -243,7 +243,7 @@ class _Chain:
                              "which is refused", REMOTE_HINT)
         # GDAL takes each of these texts where it takes the name of a file.
         if name.lstrip()[:1] == "<":
-            self.reads[name] = self._of_text(name, "", depth)
+            self.reads[name] = self._require_named_in_text(name, "", depth)
         elif name.lstrip()[:1] == "{":
             raise refused_format(name, name.encode(), self.start)
         elif name.casefold().startswith("vrt://"):
@@ -251,14 +251,14 @@ class _Chain:
         elif subdataset := _SUBDATASET.fullmatch(name):
             self.reads[name] = self.require(subdataset[1], stated, depth + 1)
         elif _ARCHIVE.match(name):
-            self.reads[name] = self._of_archive(name, depth)
+            self.reads[name] = self._require_archive(name, depth)
         elif name.startswith("/vsi"):
             # The user may give such a name; a file may not.
             if depth or not name.startswith(("/vsi7z/", "/vsirar/", "/vsimem/")):
                 raise self.error(f"it refers to {cut(name, 100)!r}, which termsel does not open",
                                  "Save the raster as a single file: gdal_translate.")
         elif os.path.lexists(name):
-            self.reads[name] = self._of_file(name, depth)
+            self.reads[name] = self._require_file(name, depth)
         elif _CONTAINERS.match(name):
             self._require_allowed(name)
         return self.reads[name]
@@ -272,7 +272,7 @@ class _Chain:
             raise self.error(f"it refers to {cut(name, 100)!r}, which termsel does not open",
                              DRIVER_HINT.format(name=name.partition(":")[0]))
 
-    def _of_file(self, name: str, depth: int) -> int:
+    def _require_file(self, name: str, depth: int) -> int:
         """Require a file of the disk and what is next to it."""
         path = Path(name)
         if path.is_dir():
@@ -292,7 +292,8 @@ class _Chain:
                 content = head + file.read(_LARGEST_XML + 1 - len(head))
         except OSError:  # GDAL says why
             return 1
-        return self._of_text(self._decoded(content, name), os.path.dirname(name), depth)
+        return self._require_named_in_text(self._decode_xml(content, name), os.path.dirname(name),
+                                           depth)
 
     def _require_known(self, path: Path, head: bytes) -> None:
         """Refuse a file of a driver that is off."""
@@ -315,11 +316,11 @@ class _Chain:
                 if name.endswith(_TEXTS) and neighbour.stat().st_size > _LARGEST_XML:
                     raise self._too_large(str(neighbour))
             if name.endswith(".aux.xml"):
-                self._of_auxiliary(neighbour, depth)
+                self._require_auxiliary_xml(neighbour, depth)
         for entry in _special_entries(str(path.parent)):
             require_regular(path.parent / entry, self.start)
 
-    def _of_auxiliary(self, path: Path, depth: int) -> None:
+    def _require_auxiliary_xml(self, path: Path, depth: int) -> None:
         """Require what an .aux.xml names."""
         try:
             with path.open("rb") as file:
@@ -327,9 +328,10 @@ class _Chain:
         except OSError:
             return
         if content.strip():
-            self._of_text(self._decoded(content, str(path)), str(path.parent), depth, "")
+            self._require_named_in_text(self._decode_xml(content, str(path)), str(path.parent),
+                                        depth, "")
 
-    def _decoded(self, content: bytes, name: str) -> str:
+    def _decode_xml(self, content: bytes, name: str) -> str:
         """Return the text of XML, which has to be UTF-8 and not too long."""
         if len(content) > _LARGEST_XML:
             raise self._too_large(name)
@@ -340,9 +342,9 @@ class _Chain:
                              "Save the file, or the file beside it, with the encoding UTF-8."
                              ) from None
 
-    def _of_archive(self, name: str, depth: int) -> int:
+    def _require_archive(self, name: str, depth: int) -> int:
         """Require a file in an archive on this disk."""
-        archive, member = _divided(name)
+        archive, member = _archive_and_member(name)
         if archive is None:
             return 1  # GDAL says that there is none
         require_regular(archive, self.start)
@@ -352,7 +354,7 @@ class _Chain:
             raise self.error(f"there is no raster {cut(name, 100)!r}", "Check the name.")
         if _is_virtual(content[:_HEAD_BYTES]):
             folder = str(PurePosixPath(name).parent)
-            return self._of_text(self._decoded(content, name), folder, depth)
+            return self._require_named_in_text(self._decode_xml(content, name), folder, depth)
         self._require_known(Path(member or archive.name), content[:_HEAD_BYTES])
         self.plain.append(name)
         return 1
@@ -380,9 +382,11 @@ class _Chain:
                 content = _content(name, archive, str(other_member)) or b""
                 folder = str(PurePosixPath(f"{prefix}/{other_member}").parent)
                 if content.strip():
-                    self._of_text(self._decoded(content, str(other_member)), folder, depth, "")
+                    self._require_named_in_text(self._decode_xml(content, str(other_member)),
+                                                folder, depth, "")
 
-    def _of_text(self, text: str, folder: str, depth: int, expected: str = "vrtdataset") -> int:
+    def _require_named_in_text(self, text: str, folder: str, depth: int,
+                               expected: str = "vrtdataset") -> int:
         """Require all that a virtual raster or auxiliary XML names; return the reads."""
         # Entities can expand to any size, and name files.
         if "<!DOCTYPE" in text or "<!ENTITY" in text:
@@ -398,7 +402,7 @@ class _Chain:
             for stated in (element.text or "", *element.attrib.values()):
                 if may_be_crs(stated):  # any element and option may have a CRS or an operation
                     refuse_grids(stated, self.start)
-        sources = [name.strip() for name in _named(root, folder)]
+        sources = [name.strip() for name in _possible_raster_names(root, folder)]
         self.elements += len(sources)
         # A source that reads ten others costs ten reads wherever it is named.
         reads = sum(self.require_each(name, folder, depth + 1) for name in sources)
@@ -450,7 +454,7 @@ def _near(path: Path) -> Iterator[str]:
             yield entry
 
 
-def _named(root: ElementTree.Element, folder: str) -> Iterator[str]:
+def _possible_raster_names(root: ElementTree.Element, folder: str) -> Iterator[str]:
     """Yield every text and attribute that can be the name of a raster."""
     waiting = [root]
     while waiting:
@@ -538,7 +542,7 @@ def _is_in_archive(name: str) -> bool:
     return name.startswith("/vsi")
 
 
-def _divided(name: str) -> tuple[Path | None, str]:
+def _archive_and_member(name: str) -> tuple[Path | None, str]:
     """Return the archive of a name such as /vsizip/maps.zip/map.tif, and the name in it."""
     match = _ARCHIVE.match(name)
     # The longest beginning of the name that is a file is the archive, as GDAL looks for it.

@@ -14,7 +14,7 @@ def of_shape(value: Any, shape: tuple[int, ...], *, finite: bool = True,
 
     In the shape -1 stands for any length. The message begins with `what`.
     """
-    expected = f"expected an array of numbers of shape ({_listed(shape)})"
+    expected = f"expected an array of numbers of shape ({_list_in_words(shape)})"
     if not isinstance(value, np.ndarray):
         return f"{verb} an object of type {type(value).__name__}; {expected}"
     # Real and whole numbers; bool and complex are not.
@@ -23,14 +23,14 @@ def of_shape(value: Any, shape: tuple[int, ...], *, finite: bool = True,
     sizes_fit = all(expected_size in (-1, size)
                     for expected_size, size in zip(shape, value.shape, strict=False))
     if len(value.shape) != len(shape) or not sizes_fit:
-        return f"{verb} an array of shape ({_listed(value.shape)}); {expected}"
+        return f"{verb} an array of shape ({_list_in_words(value.shape)}); {expected}"
     if finite and not np.isfinite(value).all():
         return (f"{verb} {np.count_nonzero(~np.isfinite(value))} numbers that are not finite; "
                 "expected finite ones")
     return None
 
 
-def _listed(shape: tuple[int, ...]) -> str:
+def _list_in_words(shape: tuple[int, ...]) -> str:
     sizes = ["n" if size == -1 else str(size) for size in shape]
     return f"{sizes[0]}," if len(sizes) == 1 else ", ".join(sizes)
 

@@ -52,15 +52,16 @@ class Guarded:
         for name, check in {**guards, **_guards(cls)}.items():
             method = cls.__dict__.get(name)
             if isinstance(method, property) and method.fget is not None:
-                setattr(cls, name, property(_guarded(name, method.fget, check), method.fset,
+                setattr(cls, name, property(_guard_of(name, method.fget, check), method.fset,
                                             method.fdel, method.__doc__))
             # A cached property must know its name again, under which it keeps its value.
             elif isinstance(method, cached_property):
-                cached = cached_property(_guarded(name, method.func, check))
+                cached = cached_property(_guard_of(name, method.func, check))
                 cached.__set_name__(cls, name)
                 setattr(cls, name, cached)
             elif callable(method) and not isinstance(method, type):
-                wrapped = _iterated if name in ("generations", "moves", "steps") else _guarded
+                wrapped = _guard_of_iterator if name in ("generations", "moves",
+                                                         "steps") else _guard_of
                 setattr(cls, name, wrapped(name, method, check))
 
 
@@ -84,7 +85,7 @@ def _plain(plugin_object: Any) -> bool:
     return _off.get() or inside() == package_of(type(plugin_object))
 
 
-def _guarded(name: str, function: Callable[..., Any], check: Check | None) -> Callable[..., Any]:
+def _guard_of(name: str, function: Callable[..., Any], check: Check | None) -> Callable[..., Any]:
     """Return the guard of a method or of a property's function."""
     @wraps(function)
     def call(self: Any, *args: Any, **options: Any) -> Any:
@@ -93,13 +94,13 @@ def _guarded(name: str, function: Callable[..., Any], check: Check | None) -> Ca
             return function(self, *args, **options)
         with blamed(self, name):
             value = function(self, *args, **options)
-        return _checked(check, self, name, value, *args, **options)
+        return _check_returned(check, self, name, value, *args, **options)
 
     return call
 
 
-def _checked(check: Check | None, plugin_object: Any, name: str, value: Any, *args: Any,
-             **options: Any) -> Any:
+def _check_returned(check: Check | None, plugin_object: Any, name: str, value: Any, *args: Any,
+                    **options: Any) -> Any:
     """Return what a method returned or yielded; raise a PluginFault where that is wrong."""
     fault = check(plugin_object, value, *args, **options) if check is not None else None
     if fault is not None:
@@ -107,7 +108,8 @@ def _checked(check: Check | None, plugin_object: Any, name: str, value: Any, *ar
     return value
 
 
-def _iterated(name: str, function: Callable[..., Any], check: Check | None) -> Callable[..., Any]:
+def _guard_of_iterator(name: str, function: Callable[..., Any],
+                       check: Check | None) -> Callable[..., Any]:
     """Return the guard of a method that returns an iterator, each step of which is guarded."""
     @wraps(function)
     def call(self: Any, *args: Any, **options: Any) -> Any:
@@ -125,7 +127,7 @@ def _iterated(name: str, function: Callable[..., Any], check: Check | None) -> C
                         value = next(iterator)
                     except StopIteration:
                         return
-                yield _checked(check, self, name, value, *args, **options)
+                yield _check_returned(check, self, name, value, *args, **options)
         finally:
             # A generator that is not run to its end frees what it holds; this may fail as well.
             with blamed(self, name):

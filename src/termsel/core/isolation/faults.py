@@ -148,7 +148,7 @@ def distribution_of(package: str) -> str:
     """Return the distribution and version of a top-level module, as far as they are known."""
     if package in _packages:
         return _packages[package]
-    for name in _installed(tuple(sys.path)).get(package, ()):
+    for name in _distributions_by_module(tuple(sys.path)).get(package, ()):
         try:
             return f"{name} {version(name)}"
         except PackageNotFoundError:
@@ -157,7 +157,7 @@ def distribution_of(package: str) -> str:
 
 
 @lru_cache(maxsize=1)
-def _installed(_path: tuple[str, ...]) -> Mapping[str, list[str]]:
+def _distributions_by_module(_path: tuple[str, ...]) -> Mapping[str, list[str]]:
     """Return distributions by top-level module; all of them are opened to find that out."""
     return packages_distributions()
 
@@ -185,7 +185,7 @@ def wrong(definition: Any, method: str, fault: str, hint: str = HINT,
 
     `called` takes the place of the name of the definition.
     """
-    file, line = _defined(definition, method)
+    file, line = _where_defined(definition, method)
     return PluginFault(f"{name or name_of(definition)}: {method}() {fault}", file=file,
                        line=line, hint=hint)
 
@@ -219,11 +219,11 @@ def failed(error: BaseException, activity: str, package: str, hint: str = HINT) 
     """Return the fault of code that raised an exception, at the package's innermost line."""
     if os.environ.get("TERMSEL_DEBUG") == "1":
         traceback.print_exc()
-    file, line = _raised(error.__traceback__, package)
+    file, line = _innermost_line_of(error.__traceback__, package)
     return PluginFault(f"{activity}: {raised(error)}", file=file, line=line, hint=hint)
 
 
-def _raised(trace: TracebackType | None, package: str) -> tuple[str | None, int | None]:
+def _innermost_line_of(trace: TracebackType | None, package: str) -> tuple[str | None, int | None]:
     """Return the innermost line of the package's code in a traceback."""
     # From the outermost call inwards: the last one of the package is the innermost.
     location: tuple[str | None, int | None] = (None, None)
@@ -235,7 +235,7 @@ def _raised(trace: TracebackType | None, package: str) -> tuple[str | None, int 
     return location
 
 
-def _defined(definition: Any, method: str) -> tuple[str | None, int | None]:
+def _where_defined(definition: Any, method: str) -> tuple[str | None, int | None]:
     """Return where a method is defined."""
     function = getattr(definition if isinstance(definition, type) else type(definition), method,
                        definition)

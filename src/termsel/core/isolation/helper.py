@@ -101,7 +101,7 @@ class Helper:
             if self._asks != os.getpid():  # after a fork the answers would go to either process
                 self._asks = os.getpid()
                 self._child = None
-            child = self._child = self._child or self._begun()
+            child = self._child = self._child or self._start_if_needed()
             limit = None if seconds is None else Timer(seconds, child.kill)
             if limit is not None:
                 limit.daemon = True
@@ -132,7 +132,7 @@ class Helper:
             child.kill()
             child.communicate()
 
-    def _begun(self) -> subprocess.Popen[bytes]:
+    def _start_if_needed(self) -> subprocess.Popen[bytes]:
         # Not by PYTHONPATH: Python itself would look for a sitecustomize.py there as it starts.
         first = f"import sys; sys.path[:] = {safe_path()!r}\n"
         return subprocess.Popen([sys.executable, "-P", "-c", first + self._code],

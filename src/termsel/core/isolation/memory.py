@@ -47,11 +47,12 @@ def out_of_memory(error: MemoryError) -> TermselError:
 
 def _free() -> float | None:
     """Return the bytes that this process can still have; None where that is not known."""
-    limits = [value for value in (_of_machine(), _of_limit()) if value is not None]
+    limits = [value for value in (_free_memory_of_machine(), _memory_below_limit())
+              if value is not None]
     return max(0.0, min(limits)) if limits else None
 
 
-def _of_machine() -> float | None:
+def _free_memory_of_machine() -> float | None:
     """Return the bytes of memory that are available to all processes, on Linux."""
     try:
         lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
@@ -61,7 +62,7 @@ def _of_machine() -> float | None:
                  if line.startswith("MemAvailable:")), None)
 
 
-def _of_limit() -> float | None:
+def _memory_below_limit() -> float | None:
     """Return what a limit of address space leaves, where there is one."""
     if sys.platform == "win32":
         return None

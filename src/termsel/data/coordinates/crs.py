@@ -123,8 +123,8 @@ def normalise(crs: str) -> str:
         if parsed is None:
             epsg_code = _AUTHORITY.search(text)
             return f"EPSG:{int(epsg_code[1])}" if epsg_code else text
-        return _as_listed(text)
-    elif by_name := _named(text):
+        return _code_or_text(text)
+    elif by_name := _crs_by_name(text):
         return by_name
     raise TermselError(f"unknown CRS {crs!r}",
                        hint=f"{_meant(text)}Examples: {EXAMPLES}; WKT, or a string of PROJ.")
@@ -143,7 +143,7 @@ def _meant(text: str) -> str:
 
 
 @lru_cache
-def _named(text: str) -> str:
+def _crs_by_name(text: str) -> str:
     """Return the normal form of a CRS by name or as a string of PROJ; "" for any other text."""
     if _WGS84_NAME.fullmatch(text):
         return "EPSG:4326"
@@ -153,16 +153,16 @@ def _named(text: str) -> str:
         hemisphere = 7 if utm_name["side"][0] in "sS" else 6
         return f"EPSG:32{hemisphere}{zone:02d}" if 1 <= zone <= 60 else ""
     if text.startswith("+") and _PROJ.fullmatch(text):
-        return _of_proj(text)
-    name = _of_listed_name(text) if _CRS_NAME.fullmatch(text) else ""
+        return _crs_of_proj_string(text)
+    name = _crs_of_listed_name(text) if _CRS_NAME.fullmatch(text) else ""
     of_datum = _UTM_OF_DATUM.fullmatch(text)
     if name or not of_datum:
         return name
-    return _of_listed_name(f"{of_datum['datum'].strip()} / UTM zone {int(of_datum['zone'])}"
-                           f"{of_datum['side'][0].upper()}")
+    return _crs_of_listed_name(f"{of_datum['datum'].strip()} / UTM zone {int(of_datum['zone'])}"
+                               f"{of_datum['side'][0].upper()}")
 
 
-def _of_proj(text: str) -> str:
+def _crs_of_proj_string(text: str) -> str:
     """Return the normal form of a CRS as a string of PROJ, in words such as +proj=bonne."""
     words = dict(re.findall(r"\+(\w+)(?:=(\S+))?", text))
     if words.get("datum") == "WGS84" and not {"axis", "pm", "vunits", "geoidgrids"} & words.keys():
@@ -179,10 +179,10 @@ def _of_proj(text: str) -> str:
     known = _with_pyproj(text if "+type=crs" in text else f"{text} +type=crs")
     assert known is not None  # pyproj is there
     # Other programs read WKT, whatever PROJ they have; a string of PROJ loses names.
-    return _as_listed(str(known.to_wkt()))
+    return _code_or_text(str(known.to_wkt()))
 
 
-def _of_listed_name(text: str) -> str:
+def _crs_of_listed_name(text: str) -> str:
     """Return the normal form of a CRS by the name that EPSG or ESRI gives it, "" for others."""
     try:
         from pyproj import CRS
@@ -197,11 +197,11 @@ def _of_listed_name(text: str) -> str:
     # PROJ takes a name that is near one for it: only the whole name counts.
     names = [known.name, esri[1] if esri else ""]
     if _letters(text) not in map(_letters, names):
-        return _of_former_name(text)
-    return normalise(_as_listed(str(known.to_wkt())))
+        return _code_of_former_name(text)
+    return normalise(_code_or_text(str(known.to_wkt())))
 
 
-def _of_former_name(text: str) -> str:
+def _code_of_former_name(text: str) -> str:
     """Return the EPSG code of another name of a CRS, such as a former one, "" for others."""
     import sqlite3
 
@@ -226,7 +226,7 @@ def _letters(name: str) -> str:
 
 
 @lru_cache
-def _as_listed(text: str) -> str:
+def _code_or_text(text: str) -> str:
     """Return the EPSG code of what pyproj knows by another name, else the text; a search of 10 ms.
 
     Shapefiles call a CRS by other names than EPSG, whatever they say being the same.

@@ -67,14 +67,14 @@ def note_on_turned(features: FeatureSet) -> str:
     """Return what a reader must know where axes look swapped or are counted the other way; or "".
     """
     if doubt := swapped(features):
-        exchanging, exchanging_others = _exchanged(doubt)
+        exchanging, exchanging_others = _exchange_option(doubt)
         location = place_of(features)
         standing = f" As they stand, x and y are near {location}." if location else ""
         return (f"{doubt}.{standing} --set {exchanging} exchanges them; or else give --set "
                 f"{exchanging_others}.")
     # Computed points, and what names its sensor, say how the image was seen.
     is_declared = lattice_of(features.points) is not None or _SENSOR in features.points.attributes
-    if not is_declared and (counted := _counted(features)):
+    if not is_declared and (counted := _coordinate_counted_otherwise(features)):
         upwards = (" If lines count from the lower edge of the image, give --set "
                    "image_origin=bottom-left and --image FILE." if counted == _UPWARDS else "")
         return (f"{counted} here, as on maps whose y points up and in some radar images.{upwards} "
@@ -101,12 +101,12 @@ def unknown_crs(features: FeatureSet, may_turn: bool) -> TermselError:
     impossible = ("x and y look swapped: no latitude is beyond 90"
                   if np.abs(plane[:, 1]).max() > 90 else "")
     if may_turn and (doubt := impossible or swapped(replace(features, crs=crs))):
-        error.options["--set"] = _exchanged(doubt)[0]
+        error.options["--set"] = _exchange_option(doubt)[0]
         error.hint = f"{error.hint} {doubt[0].upper()}{doubt[1:]}."
     return error
 
 
-def _exchanged(doubt: str) -> tuple[str, ...]:
+def _exchange_option(doubt: str) -> tuple[str, ...]:
     """Return what --set says to exchange the axes that `swapped` names, then the others."""
     return ("swapped=xy", "swapped=line-sample")[::-1 if doubt[0] == "l" else 1]
 
@@ -118,20 +118,20 @@ def swapped(features: FeatureSet) -> str:
     lies to their right.
     """
     # Outside the area of its CRS, and inside with x and y exchanged.
-    if _misplaced(features):
+    if _is_misplaced(features):
         return (f"x and y look swapped: exchanged, they lie in the area of "
                 f"{short(features.crs)}, and not as they stand")
     # A mirror image of the ground about a diagonal: exchanging makes it the view from above.
-    turn = _turn(features)
+    turn = _rotation_to_east_north_up(features)
     if turn is None or np.linalg.det(turn) >= 0 or not _is_diagonal(turn):
         return ""
     pair = "x and y" if turn[0, 1] + turn[1, 0] > 0 else "line and sample"
     return f"{pair} look swapped: the image is a mirror image of the ground about its diagonal"
 
 
-def _counted(features: FeatureSet) -> str:
+def _coordinate_counted_otherwise(features: FeatureSet) -> str:
     """Return which image coordinate is counted the other way than from the upper left corner."""
-    turn = _turn(features)
+    turn = _rotation_to_east_north_up(features)
     if turn is None or np.linalg.det(turn) >= 0:
         return ""
     return (_UPWARDS if turn[0, 0] > turn[1, 1]
@@ -154,7 +154,7 @@ def _is_diagonal(turn: FloatArray) -> bool:
     return bool(abs(turn[0, 1] + turn[1, 0]) > abs(turn[0, 0] - turn[1, 1]))
 
 
-def _turn(features: FeatureSet) -> FloatArray | None:
+def _rotation_to_east_north_up(features: FeatureSet) -> FloatArray | None:
     """Return the matrix from metres (east, north) to the image (sample, up), if one describes it.
 
     Of lines each vertex on the ground lies on the line in the image. None for "local", whose x and
@@ -166,7 +166,7 @@ def _turn(features: FeatureSet) -> FloatArray | None:
 
 
 def _matrix(features: FeatureSet, fewest: int) -> FloatArray | None:
-    """Return the matrix of `_turn` in any CRS; None for fewer features than `fewest`."""
+    """Return the matrix of `_rotation_to_east_north_up` in any CRS; None for too few features."""
     points = features.points
     lines = features.lines
     if len(points) + len(lines) // 1.5 < fewest:
@@ -208,7 +208,7 @@ def _matrix(features: FeatureSet, fewest: int) -> FloatArray | None:
     return turn if narrow > _FLAT * wide else None
 
 
-def _misplaced(features: FeatureSet) -> bool:
+def _is_misplaced(features: FeatureSet) -> bool:
     """Return whether features lie outside the area of their CRS, but inside if swapped."""
     ground = features.ground_vertices()
     area = area_of_use(features.crs) if len(ground) else None

@@ -172,8 +172,8 @@ def lattice_of(points: Points) -> Lattice | None:
     if len(points) < MIN_LATTICE_LINES**2 or points.sigma is not None:
         return None
     # Lines and columns are the values that occur, each once at every crossing.
-    line = _numbered(points.image[:, 0])
-    column = _numbered(points.image[:, 1])
+    line = _ranks_of_values(points.image[:, 0])
+    column = _ranks_of_values(points.image[:, 1])
     lines = int(line.max()) + 1
     columns = int(column.max()) + 1
     if min(lines, columns) < MIN_LATTICE_LINES or len(points) < FILLED * lines * columns \
@@ -184,7 +184,7 @@ def lattice_of(points: Points) -> Lattice | None:
     return lattice if noise is None or noise <= np.hypot(SMOOTH, _rounding(points)) else None
 
 
-def _numbered(values: FloatArray) -> IntArray:
+def _ranks_of_values(values: FloatArray) -> IntArray:
     """Return the rank of each value among those that differ."""
     order = np.argsort(values, kind="stable")
     ranks = np.empty(len(values), dtype=np.intp)

@@ -96,7 +96,7 @@ def _names(aliases: tuple[tuple[str, tuple[str, ...]], ...],
     """Return the plain and the further names of each meaning, and all of them."""
     names = {}
     for meaning, plain_names in aliases:
-        base, end = _parted(meaning)
+        base, end = _meaning_and_line_end(meaning)
         # Readers of other programs' tables have meanings of these names, too, and no further names.
         is_own = plain_names == (POINTS | LINES).get(meaning)
         further = frozenset(f"{name}{end}" for name in _FURTHER.get(base, ()) if is_own)
@@ -142,7 +142,7 @@ def _pixels_next_to_degrees(header: Sequence[str],
     return {"sample": plain["x"], "line": plain["y"], "x": ground["x"], "y": ground["y"]}
 
 
-def _parted(meaning: str) -> tuple[str, str]:
+def _meaning_and_line_end(meaning: str) -> tuple[str, str]:
     """Return a meaning without the end of a line that it is of, and that end."""
     return (meaning[:-1], meaning[-1]) if meaning[-1] in "12" else (meaning, "")
 

@@ -47,18 +47,20 @@ def frozen(values: ArrayLike, shape: tuple[int, ...], content: str) -> FloatArra
 
 def check_finite(values: FloatArray, ids: Sequence[str], kind: str, content: str) -> None:
     """Refuse coordinates that are not finite, or too far."""
-    _refuse(~np.isfinite(values), ids, kind, f"{content} that are not finite numbers", _CORRECT)
+    _refuse_bad_values(~np.isfinite(values), ids, kind, f"{content} that are not finite numbers",
+                       _CORRECT)
     check_near(values, ids, kind, content)
 
 
 def check_near(values: FloatArray, ids: Sequence[str], kind: str, content: str) -> None:
     """Refuse coordinates that are too far."""
-    _refuse(np.abs(values) >= FARTHEST, ids, kind, f"{content} of {FARTHEST:g} or more", _CORRECT)
+    _refuse_bad_values(np.abs(values) >= FARTHEST, ids, kind, f"{content} of {FARTHEST:g} or more",
+                       _CORRECT)
 
 
 def check_heights(z: FloatArray, ids: Sequence[str], kind: str) -> None:
     """Refuse infinite heights; blank heights are NaN and suit models without height."""
-    _refuse(np.isinf(z), ids, kind, "an infinite height")
+    _refuse_bad_values(np.isinf(z), ids, kind, "an infinite height")
     check_near(z, ids, kind, "a height")
 
 
@@ -72,12 +74,12 @@ def check_deviations(sigma: FloatArray, ids: Sequence[str], kind: str) -> None:
     fault = "beyond what can be computed with" if value > 0 else "not positive"
     axes = np.argwhere(is_bad)[0, 1:]  # none of a line
     name = ("sigma_line", "sigma_sample")[axes[0]] if len(axes) else "sigma"
-    _refuse(is_bad, ids, kind, f"{name} {value:g}, a standard deviation that is {fault}",
-            "Correct it, or leave the columns of standard deviations out.")
+    _refuse_bad_values(is_bad, ids, kind, f"{name} {value:g}, a standard deviation that is {fault}",
+                       "Correct it, or leave the columns of standard deviations out.")
 
 
-def _refuse(is_bad: NDArray[np.bool_], ids: Sequence[str], kind: str, problem: str,
-            hint: str | None = None) -> None:
+def _refuse_bad_values(is_bad: NDArray[np.bool_], ids: Sequence[str], kind: str, problem: str,
+                       hint: str | None = None) -> None:
     """Refuse the first feature with a bad value, given which are bad, shape (n, ...)."""
     features = is_bad.reshape(len(ids), -1).any(axis=1)
     if features.any():
@@ -136,14 +138,14 @@ def check_segments(ground: FloatArray, ids: Sequence[str]) -> None:
     index = np.arange(len(ends))
     swap = ends[index, 0, first_difference] > ends[index, 1, first_difference]
     ends[swap] = ends[swap][:, ::-1]
-    pair = _repeated(ends.reshape(len(ids), -1))
+    pair = _first_repeated_row(ends.reshape(len(ids), -1))
     if pair:
         first, second = (ids[i] for i in pair)
         raise TermselError(f"lines {first!r} and {second!r} have the same ground vertices",
                            hint="Remove one of them.", ids=[second, first])
 
 
-def _repeated(rows: FloatArray) -> tuple[int, int] | None:
+def _first_repeated_row(rows: FloatArray) -> tuple[int, int] | None:
     """Return the first row that repeats an earlier one, after that one."""
     _, first, inverse = np.unique(rows, axis=0, return_index=True, return_inverse=True)
     earlier = first[inverse.ravel()]
@@ -388,7 +390,8 @@ class Tabular(Glance, Framed):
     def take(self, index: ArrayLike) -> Self:
         """Return the rows at `index` (integers or a mask)."""
         rows = rows_of(self.ids, index)
-        return unchecked(self, **{name: _rows_at(value, rows) for name, value in _own(self)})
+        return unchecked(self,
+                         **{name: _rows_at(value, rows) for name, value in _given_fields(self)})
 
     def join(self, further: Self) -> Self:
         """Return the rows of both; unknown standard deviations are the median of the known."""
@@ -416,7 +419,7 @@ class Tabular(Glance, Framed):
             np.full((len(table), *sigmas[0].shape[1:]), np.median(sigmas[0]))
             if table.sigma is None else table.sigma
             for table in (self, further)]) if sigmas else None
-        texts = {name: value + getattr(further, name) for name, value in _own(self)
+        texts = {name: value + getattr(further, name) for name, value in _given_fields(self)
                  if isinstance(value, tuple)}  # ids and roles
         return {
             "image": np.concatenate([self.image, further.image]),
@@ -425,7 +428,7 @@ class Tabular(Glance, Framed):
             **texts}
 
 
-def _own(table: Any) -> list[tuple[str, Any]]:
+def _given_fields(table: Any) -> list[tuple[str, Any]]:
     """Return the fields of points or lines; all else that they keep is derived."""
     return [(name, getattr(table, name)) for name in _names(table.__class__)]
 
@@ -459,7 +462,7 @@ def unchecked(table: _Table, **changes: Any) -> _Table:
     # What was checked once holds for a part of them, and in other units. Fits make so many of these
     # that the checks took a quarter of their time.
     changed = object.__new__(type(table))
-    for name, value in _own(table):
+    for name, value in _given_fields(table):
         value = changes.get(name, value)
         if isinstance(value, np.ndarray):
             value.setflags(write=False)

@@ -282,15 +282,15 @@ def _readings(rows: Sequence[Sequence[str]], width: int,
                               and np.nanmin(column) < np.nanmax(column)})
     coordinates = known_columns.keys() & {"line", "sample", "x", "y", "z"}
     if not coordinates and len(values) in (4, 5):
-        return [extra | reading for reading in _of_pairs(values)]
-    of_pair = _of_one_pair(_numbers(rows), values, known_columns)
+        return [extra | reading for reading in _readings_of_pairs(values)]
+    of_pair = _readings_of_one_pair(_numbers(rows), values, known_columns)
     if of_pair:
         return [extra | reading for reading in of_pair]
     missing = [name for name in ("x", "y", "z", "sample", "line") if name not in known_columns]
     for names in (missing, [name for name in missing if name != "z"]):
         # More columns than meanings: any assignment would be a guess at random.
         if names and len(values) == len(names):
-            return [extra | reading for reading in _of_missing(names, list(values))]
+            return [extra | reading for reading in _readings_with_missing(names, list(values))]
     return [extra]
 
 
@@ -303,7 +303,7 @@ def _without_scores(values: dict[int, FloatArray]) -> dict[int, FloatArray]:
     """
     if len(values) <= len(_REQUIRED):
         return values
-    explained = {i for i in values if _explained(values, i) > _BELONGS}
+    explained = {i for i in values if _share_explained(values, i) > _BELONGS}
     kept = {i: column for i, column in values.items() if i in explained
             or np.nanmin(column) < 0.0 or np.nanmax(column) > 1.0}
     if len(kept) > len(_REQUIRED) + 1 and len(explained) == len(_REQUIRED):
@@ -334,8 +334,8 @@ def _id_and_flags(rows: Sequence[Sequence[str]], numbers: Mapping[int, FloatArra
     return extra
 
 
-def _of_one_pair(numbers: Mapping[int, FloatArray], values: Mapping[int, FloatArray],
-                 found: Mapping[str, int]) -> list[dict[str, int]]:
+def _readings_of_one_pair(numbers: Mapping[int, FloatArray], values: Mapping[int, FloatArray],
+                          found: Mapping[str, int]) -> list[dict[str, int]]:
     """Return readings where the pair of the ground is known and that of the image not, or reverse.
 
     The other pair is what the known pair explains; none where fewer or more columns are explained.
@@ -346,7 +346,7 @@ def _of_one_pair(numbers: Mapping[int, FloatArray], values: Mapping[int, FloatAr
     if not found.keys() >= set(known) or found.keys() & set(missing) or any(
             found[name] not in numbers for name in known):
         return []
-    explained = [i for i in values if _explained(
+    explained = [i for i in values if _share_explained(
         {found[name]: numbers[found[name]] for name in known} | {i: values[i]}, i) > _BELONGS]
     if len(explained) != 2:
         return []
@@ -358,7 +358,7 @@ def _of_one_pair(numbers: Mapping[int, FloatArray], values: Mapping[int, FloatAr
     return [dict(zip(order, explained, strict=True)) | heights for order in (names, names[::-1])]
 
 
-def _of_missing(missing: Sequence[str], free: Sequence[int]) -> list[dict[str, int]]:
+def _readings_with_missing(missing: Sequence[str], free: Sequence[int]) -> list[dict[str, int]]:
     """Return readings of columns in the order x, y, z, sample, line, and with a pair exchanged."""
     # In the order in which most tables have them.
     usual = dict(zip(missing, free, strict=True))
@@ -369,7 +369,7 @@ def _of_missing(missing: Sequence[str], free: Sequence[int]) -> list[dict[str, i
     return readings
 
 
-def _of_pairs(values: Mapping[int, FloatArray]) -> list[dict[str, int]]:
+def _readings_of_pairs(values: Mapping[int, FloatArray]) -> list[dict[str, int]]:
     """Return readings of four or five columns: a pair of the image, a pair of the ground, heights.
 
     Seen from above, an image is no mirror image of the ground. With x to the east and y to the
@@ -381,7 +381,7 @@ def _of_pairs(values: Mapping[int, FloatArray]) -> list[dict[str, int]]:
     if len(free) == 5:
         # Image and ground determine each other, a height is nearly free of both. Pairs lie next
         # to each other, so that it is the first, the middle or the last.
-        z = [min(free[::2], key=lambda i: _explained(values, i))]
+        z = [min(free[::2], key=lambda i: _share_explained(values, i))]
     pairs = [i for i in free if i not in z]
     # Columns of a pair are next to each other in every format that is known.
     image_first = pairs[:2], [*pairs[2:], *z]
@@ -441,7 +441,7 @@ def _is_ground(values: Mapping[int, FloatArray], pair: Sequence[int]) -> bool:
     return bool(size > 1e5 or (size <= 180 and max(np.ptp(values[i]) for i in pair) < 10))
 
 
-def _explained(values: Mapping[int, FloatArray], i: int) -> float:
+def _share_explained(values: Mapping[int, FloatArray], i: int) -> float:
     """Return the share of a column's variance that a linear function of the others explains."""
     table = np.column_stack([column for j, column in values.items() if j != i])
     complete = ~np.isnan(np.column_stack([table, values[i]])).any(axis=1)

@@ -99,7 +99,7 @@ def read_cells(path: Path, aliases: Aliases, stated: Mapping[str, str], layer: s
     is_unicode = encoding.startswith("utf")
     notes = () if is_unicode else (
         f"the text of {path} is not UTF-8; it is read as {encoding}",)
-    cells = _of_text(path, text, _delimiter(text, aliases, stated))
+    cells = _rows_of_text(path, text, _delimiter(text, aliases, stated))
     return replace(_without_crs_line(cells), notes=notes)
 
 
@@ -120,7 +120,7 @@ def sniffed(path: Path, head: bytes, aliases: Aliases,
         return []
     text = _with_header(text, aliases, stated)
     delimiter = _delimiter(text, aliases, stated)
-    return [_split(line, delimiter) for line in _first_lines(text)]
+    return [_split_lines(line, delimiter) for line in _first_lines(text)]
 
 
 def decoded(data: bytes, path: Path, *, final: bool = True) -> tuple[str, str]:
@@ -159,7 +159,7 @@ def _refuse_wide(path: Path, text: str) -> None:
     """Refuse what has an endless first row, before its names are compared with those known."""
     # Comparing a million names with those that are known would take minutes.
     first = next(_first_lines(text), "")
-    cells = max(len(_split(first, delimiter)) for delimiter in _DELIMITERS)
+    cells = max(len(_split_lines(first, delimiter)) for delimiter in _DELIMITERS)
     if cells > WIDEST:
         raise BadText(f"the first row has {cells:,} cells, more than {WIDEST:,}", file=path,
                       line=text[:text.index(first)].count("\n") + 1,
@@ -185,9 +185,9 @@ def _with_header(text: str, aliases: Aliases, stated: Mapping[str, str]) -> str:
         return text
     header = lines[first - 1].lstrip("# ")
     for delimiter in _delimiters_of(header):
-        cells = _split(header, delimiter)
+        cells = _split_lines(header, delimiter)
         if found_in(cells, aliases, stated) >= _FEWEST_NAMES \
-                and len(_split(lines[first], delimiter)) == len(cells) \
+                and len(_split_lines(lines[first], delimiter)) == len(cells) \
                 and not any(_names_in(line, aliases, stated) >= _FEWEST_NAMES
                             for line in _first_lines(text)):
             return text.replace(lines[first - 1], header, 1)
@@ -196,7 +196,7 @@ def _with_header(text: str, aliases: Aliases, stated: Mapping[str, str]) -> str:
 
 def _names_in(line: str, aliases: Aliases, stated: Mapping[str, str]) -> int:
     """Return how many meanings a line names, by the separator by which it names most."""
-    return max(found_in(_split(line, delimiter), aliases, stated)
+    return max(found_in(_split_lines(line, delimiter), aliases, stated)
                for delimiter in _delimiters_of(line))
 
 
@@ -205,7 +205,7 @@ def _delimiters_of(line: str) -> tuple[str, ...]:
     return _DELIMITERS[:-1] if re.search(r"[;\t|]", line.strip()) else _DELIMITERS
 
 
-def _split(line: str, delimiter: str) -> list[str]:
+def _split_lines(line: str, delimiter: str) -> list[str]:
     """Return the cells of a line; none if it cannot be a row."""
     if not delimiter:
         return line.split()
@@ -222,7 +222,7 @@ def _delimiter(text: str, aliases: Aliases, stated: Mapping[str, str]) -> str:
     candidates = [(0, 0, 0, ",")]
     for i, line in enumerate(lines):
         for delimiter in _delimiters_of(line):
-            cells = _split(line, delimiter)
+            cells = _split_lines(line, delimiter)
             # Most columns named, then the earliest line, then most cells.
             width = len(cells) if delimiter else 0
             candidates.append((found_in(cells, aliases, stated), -i, width, delimiter))
@@ -237,7 +237,7 @@ def _delimiter(text: str, aliases: Aliases, stated: Mapping[str, str]) -> str:
     return sign if sign in bare else "" if len(line.split()) > 2 else ","
 
 
-def _of_text(path: Path, text: str, delimiter: str) -> Cells:
+def _rows_of_text(path: Path, text: str, delimiter: str) -> Cells:
     """Return the rows of a text with the lines they begin on, and its comments."""
     rows: list[list[str]] = []
     lines: list[int] = []

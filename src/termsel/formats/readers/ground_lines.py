@@ -51,7 +51,7 @@ class GeoJsonLines(Reader):
     def read(self, path: Path) -> FeatureSet:
         """Return the lines; errors name file, feature and property."""
         features, crs = read_geojson(path, _GEOMETRIES)
-        return _joined(path, features, crs or "EPSG:4326", **self.options)
+        return _join_image_lines(path, features, crs or "EPSG:4326", **self.options)
 
 
 class VectorLines(Reader):
@@ -70,11 +70,11 @@ class VectorLines(Reader):
         """Return the lines; errors name file and feature."""
         options = dict(self.options)
         features, crs = read_layer(path, options.pop("layer"), _GEOMETRIES)
-        return _joined(path, features, crs, **options)
+        return _join_image_lines(path, features, crs, **options)
 
 
-def _joined(path: Path, features: list[Feature], crs: str, image_lines: str | None,
-            join: str) -> FeatureSet:
+def _join_image_lines(path: Path, features: list[Feature], crs: str, image_lines: str | None,
+                      join: str) -> FeatureSet:
     """Return ground lines with their image lines, pieces of one feature under its id."""
     if not any(join in feature.properties for feature in features):
         names = list(dict.fromkeys(chain.from_iterable(
@@ -91,7 +91,7 @@ def _joined(path: Path, features: list[Feature], crs: str, image_lines: str | No
             if not name:
                 raise feature.error("its id is blank", join, "Give every line an id.")
             # A feature of several lines has a piece of the image line for each.
-            image.setdefault(name, []).extend(_from_ji(feature))
+            image.setdefault(name, []).extend(_image_lines_of_ji(feature))
         if name in image:
             ground.setdefault(name, []).extend(
                 _distinct(np.array(vertices)) for vertices in feature.vertex_lists)
@@ -172,7 +172,7 @@ def _read_image_lines(path: Path) -> dict[str, list[FloatArray]]:
     return image
 
 
-def _from_ji(feature: Feature) -> list[FloatArray]:
+def _image_lines_of_ji(feature: Feature) -> list[FloatArray]:
     """Return the image lines along the property ji."""
     ji = feature.pixels()
     if not numbers_at(ji, 1, (2,)) or len(ji) < 2:

@@ -116,7 +116,7 @@ def _by_allowed_drivers(path: Path) -> Iterator[Path]:
     try:
         with private_folder() as folder, catch_warnings():
             simplefilter("ignore")  # what GDAL says of a file that it reads all the same
-            yield _linked(path, folder)
+            yield _link_into_folder(path, folder)
     except (DataSourceError, DataLayerError, ValueError) as error:
         # pyogrio has no class of its own for this.
         if "not recognized as being in a supported file format" in str(error):
@@ -137,7 +137,7 @@ def _turn_off_drivers() -> None:
         core._register_drivers()
 
 
-def _linked(path: Path, folder: Path) -> Path:
+def _link_into_folder(path: Path, folder: Path) -> Path:
     """Link a file into a folder, where GDAL may write next to it what it likes.
 
     A Shapefile has further files of its name; what is next to another file is not read.

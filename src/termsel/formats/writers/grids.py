@@ -160,8 +160,8 @@ class GeolocationVrt(GridWriter):
         # A VRT that is replaced keeps its array until the new VRT is in place, so that an interrupt
         # leaves no VRT with the array of another: where FILE_xy.tif is in use, the new array is
         # FILE_xy_2.tif, and the next one FILE_xy.tif again.
-        array, other_array = sorted(_arrays(path), key=lambda array: _named(array, path))
-        replaced = _named(other_array, path)
+        array, other_array = sorted(_arrays(path), key=lambda array: _names_array(array, path))
+        replaced = _names_array(other_array, path)
         domain = {
             "X_DATASET": array.name, "X_BAND": "1",
             "X_DATASET_RELATIVE_TO_SOURCE": "YES",
@@ -202,7 +202,7 @@ def _arrays(path: Path) -> tuple[Path, Path]:
     return path.with_name(f"{path.stem}_xy.tif"), path.with_name(f"{path.stem}_xy_2.tif")
 
 
-def _named(array: Path, path: Path) -> bool:
+def _names_array(array: Path, path: Path) -> bool:
     """Return whether the VRT that is at a path, if any, names an array."""
     if not path.is_file():
         return False

@@ -37,14 +37,14 @@ def _require_accepted(writer: Writer, result: Result, path: Path, hint: str) -> 
         raise TermselError(f"this result cannot be written as {writer.name}", file=path, hint=hint)
 
 
-def _used(result: Result) -> set[str]:
+def _features_in_adjustment(result: Result) -> set[str]:
     """Return the features in the adjustment, with selection points if a strategy adds them."""
     return {residual.id for residual in result.residuals if residual.used}
 
 
 def _chosen(result: Result) -> BoolArray:
     """Return which of all points are in the adjustment."""
-    return np.isin(result.features.points.ids, list(_used(result)))
+    return np.isin(result.features.points.ids, list(_features_in_adjustment(result)))
 
 
 def chosen_points(result: Result) -> Points:
@@ -161,7 +161,7 @@ class LinesTable(Writer):
         """Write a table; lines that were not selected have 0 in the column enabled."""
         _require_accepted(self, result, path, "It has no control lines; points-csv takes points.")
         lines = result.features.lines
-        selected = _used(result)
+        selected = _features_in_adjustment(result)
         header, values = line_columns(lines)
         # Of a line only the distance across it is an error.
         distances = np.linalg.norm(result.fit.line_errors(lines), axis=-1)

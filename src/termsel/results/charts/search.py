@@ -69,7 +69,7 @@ def members(view: View, image: str = "") -> Any:
 
 def front_rows(view: View) -> list[Row]:
     """Return a row for check and independent points of each member."""
-    recommended = _recommended(view)
+    recommended = _mark_recommended(view)
     rows: list[Row] = []
     for i, member in enumerate(view.record.front):
         for role in ("check", "independent"):
@@ -84,11 +84,11 @@ def choice(view: View) -> Any:
     """Return the choice of a member, at first the recommended one."""
     # There is always one member chosen, so that the map below is never empty.
     return require_altair().selection_point(
-        name="member", fields=["member"], value=[{"member": _recommended(view)}], clear=False,
+        name="member", fields=["member"], value=[{"member": _mark_recommended(view)}], clear=False,
         toggle=False, empty=False)
 
 
-def _recommended(view: View) -> int:
+def _mark_recommended(view: View) -> int:
     return recommended(view.record.front, view.record.selection) or 0
 
 

@@ -30,7 +30,7 @@ def descents(systems: ScoreSystems) -> Iterator[tuple[FloatArray, Masks]]:
     candidates = systems.everything.candidates
     room = systems.everything.room
     rng = np.random.default_rng(0)  # the same on every machine, as the proof is
-    best, masks, nodes = _descent(systems, [candidates[:0]])
+    best, masks, nodes = _descend_from(systems, [candidates[:0]])
     yield best, masks
     # Kicks of each size since its best was found.
     failures = np.zeros(systems.k + 1, dtype=np.intp)
@@ -45,17 +45,17 @@ def descents(systems: ScoreSystems) -> Iterator[tuple[FloatArray, Masks]]:
             kicked = np.flatnonzero((masks > 0) & (failures < _KICKS))
             if not len(kicked):
                 return
-            starts = [_kicked(systems, masks[size], rng) for size in kicked]
+            starts = [_perturb_subset(systems, masks[size], rng) for size in kicked]
             failures[kicked] += 1
         start_columns = [candidates[start] for start in starts]
-        reached, reached_masks, walked_nodes = _descent(systems, start_columns)
+        reached, reached_masks, walked_nodes = _descend_from(systems, start_columns)
         nodes += walked_nodes
         failures[reached < (1.0 - _ORDER_ROUNDING) * best] = 0
         best, masks = better(best, masks, reached, reached_masks)
         yield best, masks
 
 
-def _kicked(systems: ScoreSystems, mask: np.uint64, rng: np.random.Generator) -> IntArray:
+def _perturb_subset(systems: ScoreSystems, mask: np.uint64, rng: np.random.Generator) -> IntArray:
     """Return a subset, as indices of the candidates, with some columns replaced by random ones."""
     inside = (BITS[systems.everything.candidates] & mask) != 0
     members = rng.permutation(np.flatnonzero(inside))
@@ -64,7 +64,7 @@ def _kicked(systems: ScoreSystems, mask: np.uint64, rng: np.random.Generator) ->
     return np.concatenate([members[swapped:], outsiders[:swapped]])
 
 
-def _descent(systems: ScoreSystems, starts: list[IntArray]) -> tuple[FloatArray, Masks, int]:
+def _descend_from(systems: ScoreSystems, starts: list[IntArray]) -> tuple[FloatArray, Masks, int]:
     """Return the best subset of every size that single changes reach from some subsets.
 
     Every change of each best subset of a size is tried, until none helps. The last value is the
@@ -80,7 +80,7 @@ def _descent(systems: ScoreSystems, starts: list[IntArray]) -> tuple[FloatArray,
     while centres:
         # Each neighbourhood is walked with the best so far, and thus bounded.
         for mask in centres:
-            changes = _changes(systems, mask)
+            changes = _single_changes(systems, mask)
             nodes += len(changes)
             improved = None
             if systems.kind == RSS:
@@ -97,7 +97,7 @@ def _descent(systems: ScoreSystems, starts: list[IntArray]) -> tuple[FloatArray,
     return best, masks, nodes
 
 
-def _changes(systems: ScoreSystems, mask: int) -> list[SubtreeNode]:
+def _single_changes(systems: ScoreSystems, mask: int) -> list[SubtreeNode]:
     """Return the subsets with one more column than a subset, and with one or none instead."""
     used = systems.everything.used
     candidates = systems.everything.candidates

@@ -52,7 +52,7 @@ def rising_bounds(systems: ScoreSystems, best: FloatArray, masks: Masks, node_su
             starting_scores = np.full_like(best, limit)
             no_masks = np.zeros_like(masks)
             # Every node starts from the rung alone, so that their order does not matter.
-            nodes = _nodes(root, node_subsets)
+            nodes = _nodes_of_root(root, node_subsets)
             node = next(nodes, None)
             decided_nodes = 0
             while node is not None or pending:
@@ -73,7 +73,7 @@ def rising_bounds(systems: ScoreSystems, best: FloatArray, masks: Masks, node_su
         pool.shutdown(cancel_futures=True)
 
 
-def _nodes(root: SubtreeNode, node_subsets: int) -> Iterator[SubtreeNode]:
+def _nodes_of_root(root: SubtreeNode, node_subsets: int) -> Iterator[SubtreeNode]:
     """Yield nodes of at most so many subsets that together have those of the root."""
     open_nodes = [root]
     while open_nodes:

@@ -88,7 +88,7 @@ class ScoreSystems:
         """Whether subsets are decided by branch and bound."""
         if self.holds_out:
             return True
-        if not self._bounded or self.kind == PRESS:
+        if not self._has_bounds or self.kind == PRESS:
             return False
         if self.kind == RSS:
             return True
@@ -102,7 +102,7 @@ class ScoreSystems:
     def holds_out(self) -> bool:
         """Whether bounds decide scores that are held-out errors without denominators, of every row.
         """
-        if not self._bounded:
+        if not self._has_bounds:
             return False
         if self.kind == PRESS:
             # Rows [denominator, -1]: all zero but for the targets where there is no denominator.
@@ -111,7 +111,7 @@ class ScoreSystems:
         return self.kind == LINEAR and len(self.systems) > 1 and self.times_held_out > 0
 
     @property
-    def _bounded(self) -> bool:
+    def _has_bounds(self) -> bool:
         return self.everything.count > WALKED
 
     @property
@@ -159,7 +159,7 @@ class ScoreSystems:
         """Decide the subsets of a node, given the best ones so far."""
         if self.kind == RSS and self.branches and node.count > _ENUMERATED:
             return self._walk_residuals(node, best.copy(), masks.copy())
-        prepared = self._prepared(node)
+        prepared = self._vectors_of_node(node)
         if prepared is None:
             return NodeResult(best, masks, 0)
         vectors, limits, guard = prepared
@@ -172,7 +172,7 @@ class ScoreSystems:
         records = Records(best=best, masks=masks, bits=bits, some_of=np.array([self.some_of]),
                           parents=self.parents, guard=guard, x=np.empty(depths),
                           sums=np.empty(guard.shape[1]))
-        position = position_of(depths, BITS[node.used].sum(), _counts(n, limits.room))
+        position = position_of(depths, BITS[node.used].sum(), _counts_of_subsets(n, limits.room))
         pruned = 0
         if self.holds_out:
             pruned = branch(self.kind, vectors, limits, records, position, check=None,
@@ -196,7 +196,7 @@ class ScoreSystems:
                           some_of=np.array([self.some_of]), parents=self.parents, guard=guard,
                           x=np.empty(k + 1), sums=np.empty(len(self.systems[0].guard)))
         limits = Limits(self.margin, TOLERANCE, 0.0, self._slack, used, min(node.room, k - used))
-        enumerated = branch_residuals(tree, limits, records, _counts(k, k), _ENUMERATED,
+        enumerated = branch_residuals(tree, limits, records, _counts_of_subsets(k, k), _ENUMERATED,
                                       None if len(self._targets) == 1 else False)
         return NodeResult(best, masks, node.count - enumerated)
 
@@ -220,7 +220,7 @@ class ScoreSystems:
             return node
         if self.kind == RSS:
             return replace(node, lower_bound=max(node.lower_bound, self._rss_bound(node, best)))
-        prepared = self._prepared(node)
+        prepared = self._vectors_of_node(node)
         if prepared is None:
             return replace(node, lower_bound=incumbent)
         vectors, limits, _ = prepared
@@ -228,7 +228,7 @@ class ScoreSystems:
             bound = min(incumbent, least_held_out(vectors))
         else:
             bound = min(self._descendants_bound(node, vectors, limits, incumbent),
-                        self._own_score(node, vectors, limits))
+                        self._score_of_used_columns(node, vectors, limits))
         return replace(node, lower_bound=max(node.lower_bound, bound))
 
     def _rss_bound(self, node: SubtreeNode, best: FloatArray) -> float:
@@ -272,7 +272,7 @@ class ScoreSystems:
                 high = middle
         return low
 
-    def _own_score(self, node: SubtreeNode, vectors: Vectors, limits: Limits) -> float:
+    def _score_of_used_columns(self, node: SubtreeNode, vectors: Vectors, limits: Limits) -> float:
         """Return the score of the columns in use alone; infinite with a denominator too small."""
         errors = vectors.extra[0, 0]
         n = len(node.candidates)
@@ -303,7 +303,7 @@ class ScoreSystems:
         # No positive denominator is above its sum with the others, and that not below the least.
         return np.append(np.ones(c), 1.0 / (self.margin * c))
 
-    def _prepared(self, node: SubtreeNode) -> tuple[Vectors, Limits, FloatArray] | None:
+    def _vectors_of_node(self, node: SubtreeNode) -> tuple[Vectors, Limits, FloatArray] | None:
         """Return the vectors of a node, or None if the columns in use are dependent.
 
         They are taken out here, by LAPACK. With the factor R of the columns [used, later] in
@@ -360,7 +360,7 @@ class ScoreSystems:
 
 
 @cache
-def _counts(columns: int, room: int) -> IntArray:
+def _counts_of_subsets(columns: int, room: int) -> IntArray:
     """Return the number of subsets of 0 to `columns` with at most 0 to `room` members.
 
     Either the last column is in a subset or it is not: N(n, m) = N(n - 1, m) + N(n - 1, m - 1).

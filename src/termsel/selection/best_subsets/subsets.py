@@ -118,7 +118,7 @@ def search(
     long_search = root.count > _DESCEND_FROM
     incumbents = _Incumbents(systems)
     if long_search:
-        yield from _descend(incumbents)
+        yield from _improve_by_descents(incumbents)
     for node in systems.starts:
         incumbents.replace(systems.walk(node, incumbents.best, incumbents.masks))
     node_subsets = _NODE_SUBSETS
@@ -160,7 +160,7 @@ class _Incumbents:
                             self.systems.everything.count, self.pruned, lower_bounds)
 
 
-def _descend(incumbents: _Incumbents) -> Iterator[SubsetResult]:
+def _improve_by_descents(incumbents: _Incumbents) -> Iterator[SubsetResult]:
     """Improve the incumbents by descents, and decide the sizes of few columns."""
     systems = incumbents.systems
     for descent, (best, masks) in enumerate(descents(systems)):
@@ -192,7 +192,7 @@ def _branch_and_bound(incumbents: _Incumbents, root: SubtreeNode, cost: Cost | N
     of workers.
     """
     systems = incumbents.systems
-    limits = _limits(cost, incumbents.best, systems.largest, incumbents.closed_sizes)
+    limits = _score_limits(cost, incumbents.best, systems.largest, incumbents.closed_sizes)
     open_nodes = [root]
     in_progress: deque[tuple[SubtreeNode, Future[NodeResult]]] = deque()
     pool = ThreadPoolExecutor(workers)
@@ -214,15 +214,15 @@ def _branch_and_bound(incumbents: _Incumbents, root: SubtreeNode, cost: Cost | N
                     continue
             else:
                 node, future = in_progress.popleft()
-                if _improved(incumbents, node, future.result()):
-                    limits = _limits(cost, incumbents.best, systems.largest,
-                                     incumbents.closed_sizes)
+                if _take_improvement(incumbents, node, future.result()):
+                    limits = _score_limits(cost, incumbents.best, systems.largest,
+                                           incumbents.closed_sizes)
             yield incumbents.result([*open_nodes, *(node for node, _ in in_progress)], limits)
     finally:
         pool.shutdown(cancel_futures=True)
 
 
-def _improved(incumbents: _Incumbents, node: SubtreeNode, result: NodeResult) -> bool:
+def _take_improvement(incumbents: _Incumbents, node: SubtreeNode, result: NodeResult) -> bool:
     """Count a decided node, and take over what is better in it; return whether anything is."""
     # A limit that no subset reached is no subset's score. The empty subset has the mask 0 too.
     scores = np.where(result.masks > 0, result.best, np.inf)
@@ -291,7 +291,8 @@ def _lower_bounds(best: FloatArray, open_nodes: Sequence[SubtreeNode], closed_si
     return lower_bounds
 
 
-def _limits(cost: Cost | None, best: FloatArray, largest: float, closed_sizes: int) -> FloatArray:
+def _score_limits(cost: Cost | None, best: FloatArray, largest: float,
+                  closed_sizes: int) -> FloatArray:
     """Return the score of each size above which no subset is of interest.
 
     Below, it may have a lower figure than all smaller sizes, or be the best of its size. No score

@@ -75,7 +75,7 @@ class Press(_LeftOut):
         # A twin would tell what the point held out is: all of them are held out together.
         for group in groups:
             if len(group) > 1:
-                squares[:, group] = _without(fits, group)
+                squares[:, group] = _fold_errors(fits, group)
         return self.combined(fits, squares)
 
     def subset_folds(self, control: Points) -> tuple[IntArray, ...]:
@@ -114,7 +114,7 @@ class KFold(_LeftOut):
         used = fits.in_use
         squares = np.zeros(used.shape)
         for fold in self.folds(fits.control, fits.lines):
-            squares[:, fold] += _without(fits, fold)
+            squares[:, fold] += _fold_errors(fits, fold)
         return self.combined(fits, squares / self.options["repeats"])
 
     def folds(self, points: Points, lines: Lines) -> tuple[IntArray, ...]:
@@ -145,7 +145,7 @@ class KFold(_LeftOut):
         return self.folds(control, no_lines())
 
 
-def _without(fits: Fits, fold: IntArray) -> FloatArray:
+def _fold_errors(fits: Fits, fold: IntArray) -> FloatArray:
     """Return the squared errors of a fold predicted from all others, shape (p, n of the fold)."""
     # Features that are not in use stay out, whatever the fold.
     control_in_use = fits.in_use.copy()

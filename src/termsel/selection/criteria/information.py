@@ -73,9 +73,10 @@ class Ebic(Criterion):
             # Systems that share genes have a common variance: their squares are pooled.
             rss = np.sum([_rss(system, fits.coefficients[:, system.columns]) for system in systems],
                          axis=0)
-            total += self._of(rss, sum(len(system.equations.b) for system in systems),
-                              fits.terms[:, columns].sum(axis=1), len(first),
-                              fits.terms[:, first].sum(axis=1))
+            total += self._criterion_of_system(rss,
+                                               sum(len(system.equations.b) for system in systems),
+                                               fits.terms[:, columns].sum(axis=1), len(first),
+                                               fits.terms[:, first].sum(axis=1))
         return total
 
     def subset_cost(self, scores: FloatArray, system: SubsetSystem) -> FloatArray:
@@ -87,11 +88,11 @@ class Ebic(Criterion):
         never = 0 if system.forbidden is None else int(system.forbidden.sum())
         offered = k - forced - never
         # Sizes that no selection has score infinitely; their choices only have to be numbers.
-        return self._of(scores, m * axes, sizes * axes, offered,
-                        np.clip(sizes - forced, 0, offered))
+        return self._criterion_of_system(scores, m * axes, sizes * axes, offered,
+                                         np.clip(sizes - forced, 0, offered))
 
-    def _of(self, rss: FloatArray, n: int, k: IntArray, offered: int,
-            n_chosen: IntArray) -> FloatArray:
+    def _criterion_of_system(self, rss: FloatArray, n: int, k: IntArray, offered: int,
+                             n_chosen: IntArray) -> FloatArray:
         """Return the criterion of one system: n equations, k terms, n_chosen of those offered."""
         min_redundancy = self.options["min_redundancy"]
         min_redundancy = max(1, round(n / 3)) if min_redundancy is None else min_redundancy

@@ -75,7 +75,7 @@ def enumerable_parts(inputs: ProblemData, equations: Equations, genome: Genome,
     subproblems = []
     for axis_system, axis_genes in zip(axis_systems, genes, strict=True):
         order = np.argsort(axis_genes)  # columns in the order of the genes
-        system = _ordered(axis_system, order, genome, axis_genes[order])
+        system = _order_columns(axis_system, order, genome, axis_genes[order])
         cost = partial(criterion.subset_cost, system=system)
         if criterion.is_rmse:
             n_errors = (sum(map(len, folds)) if score == "kfold" else
@@ -189,8 +189,8 @@ def _merge(axis_systems: list[SubsetSystem], genes: list[IntArray]) -> SubsetSys
         check_target, some_of=line.some_of, parents=line.parents)
 
 
-def _ordered(system: SubsetSystem, order: IntArray, genome: Genome,
-             genes: IntArray) -> SubsetSystem:
+def _order_columns(system: SubsetSystem, order: IntArray, genome: Genome,
+                   genes: IntArray) -> SubsetSystem:
     """Return the system with its columns in order, and with the genome's forced genes."""
     # What is of rows alone, such as targets, stays as it is.
     by_column = ("design", "check_design", "denominator", "check_denominator", "guard_denominator")

@@ -68,7 +68,7 @@ class Genome:
         """Refuse cardinalities that forced genes leave no selection for."""
         # As many as the minimum must be allowed on, and what is forced on must be allowed by the
         # maximum.
-        for segment, labels in self._switched():
+        for segment, labels in self._segments_switched():
             n_forced_on = int(self.on[labels].sum())
             n_not_off = int((~self.off[labels]).sum())
             if segment.minimum > min(segment.most, n_not_off) or n_forced_on > segment.most:
@@ -78,7 +78,7 @@ class Genome:
                     hint="Lower the minimum, raise the maximum (of terms: max_share) or force "
                          "fewer genes.")
 
-    def _switched(self) -> list[tuple[Bits | Subset, slice]]:
+    def _segments_switched(self) -> list[tuple[Bits | Subset, slice]]:
         """Return the segments whose labels are on or off, and where their labels are."""
         return [(s, self._of_labels[s.name]) for s in self.segments
                 if isinstance(s, Bits | Subset)]
@@ -90,7 +90,7 @@ class Genome:
         label_index: dict[str, int] = {}
         if labels:
             # Of segments that share a label the first one is meant.
-            for segment, columns in reversed(self._switched()):
+            for segment, columns in reversed(self._segments_switched()):
                 numbers = range(columns.start, columns.stop)
                 label_index.update(zip(segment.labels, numbers, strict=True))
         for label in labels:
@@ -119,7 +119,7 @@ class Genome:
         if self.dtype == np.bool_:
             return genes
         mask = np.zeros((len(genes), len(self.labels)), dtype=bool)
-        for segment, labels in self._switched():
+        for segment, labels in self._segments_switched():
             segment_genes = genes[:, self._slices[segment.name]]
             mask[:, labels] = segment.mask(segment_genes)
         return mask
@@ -128,7 +128,7 @@ class Genome:
         """Return which individuals keep forced genes and cardinality, shape (p,)."""
         mask = self.chosen(genes)
         valid = mask[:, self.on].all(axis=1) & ~mask[:, self.off].any(axis=1)
-        for segment, labels in self._switched():
+        for segment, labels in self._segments_switched():
             count = mask[:, labels].sum(axis=1)
             valid &= (count >= segment.minimum) & (count <= segment.most)
         return np.asarray(valid)
@@ -170,18 +170,18 @@ class Genome:
         if self.dtype == np.bool_:
             fixed = (Bits("", self.labels).repaired(genes) | self.on) & ~self.off
             # Forced genes stay as they are: only free ones are switched to keep the counts.
-            for switched, columns in self._switched():
+            for switched, columns in self._segments_switched():
                 _keep_count(fixed[:, columns], switched, self.free[columns], rng)
             return fixed
         fixed = np.empty((len(genes), self.size), dtype=self.dtype)
         for segment, columns in zip(self.segments, self._slices.values(), strict=True):
             segment_genes = segment.repaired(genes[:, columns])
             if isinstance(segment, Bits | Subset):
-                segment_genes = self._forced(segment, segment_genes, rng)
+                segment_genes = self._force_genes(segment, segment_genes, rng)
             fixed[:, columns] = segment_genes
         return fixed
 
-    def _forced(self, segment: Bits | Subset, genes: Genes, rng: np.random.Generator) -> Genes:
+    def _force_genes(self, segment: Bits | Subset, genes: Genes, rng: np.random.Generator) -> Genes:
         """Return the genes of a segment with its forced labels and cardinality."""
         labels = self._of_labels[segment.name]
         mask = (segment.mask(genes) | self.on[labels]) & ~self.off[labels]

@@ -83,18 +83,18 @@ class ParameterProblem(Problem):
         different, group = np.unique(genes[:, self._n_terms:], axis=0, return_inverse=True)
         for i, row in enumerate(different):
             same_parameters = np.flatnonzero(group.ravel() == i)
-            problem = self._at(row)
+            problem = self._selection_at(row)
             # Without a selection all with these parameters are the same.
             evaluated = same_parameters if self._selects_terms else same_parameters[:1]
-            evaluation = problem.evaluate(self._of_terms(genes[evaluated], problem))
+            evaluation = problem.evaluate(self._genes_of_terms(genes[evaluated], problem))
             objectives[same_parameters] = evaluation.objectives
             violation[same_parameters] = evaluation.violation
         return Evaluation(objectives, violation)
 
     def decode(self, genes: Genes) -> Selection:
         """Return the terms in use and the values of the parameters."""
-        problem = self._at(genes[self._n_terms:])
-        selection = problem.decode(self._of_terms(genes[None], problem))
+        problem = self._selection_at(genes[self._n_terms:])
+        selection = problem.decode(self._genes_of_terms(genes[None], problem))
         return replace(selection, parameters=self._values(genes[self._n_terms:]))
 
     def _values(self, genes: Genes) -> dict[str, Any]:
@@ -104,7 +104,7 @@ class ParameterProblem(Problem):
         values = self.genome.values(all_genes)
         return {name: values[name][name] for name in self.parameters}
 
-    def _at(self, genes: Genes) -> SelectionProblem:
+    def _selection_at(self, genes: Genes) -> SelectionProblem:
         """Return the selection of terms with the parameters that genes stand for."""
         key = genes.tobytes()
         if key not in self._known:
@@ -119,7 +119,7 @@ class ParameterProblem(Problem):
                                                     features=False)
         return self._known[key]
 
-    def _of_terms(self, genes: Genes, problem: SelectionProblem) -> Genes:
+    def _genes_of_terms(self, genes: Genes, problem: SelectionProblem) -> Genes:
         """Return the genes of the terms, shape (p, genes of the problem)."""
         if self._selects_terms:
             return genes[:, :self._n_terms].astype(bool)

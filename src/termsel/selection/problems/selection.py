@@ -77,7 +77,7 @@ class SelectionProblem(Problem):
         further = [objective.name for objective in inputs.objectives]
         self.objectives = (inputs.criterion.name, *further)
         self.equations = first_order(model, control)
-        if _weighted(inputs) and not inputs.criterion.needs_check:
+        if _iterated_model(inputs) and not inputs.criterion.needs_check:
             raise TermselError("weighted=true judges selections by selection points",
                                hint="Choose --criterion check-rmse.")
         # Denominators must be positive at all of these, wherever the image is used.
@@ -213,7 +213,7 @@ class SelectionProblem(Problem):
         """Fit, judge by the criterion, and add up what is violated (see `evaluate`)."""
         inputs = self.inputs
         terms, features = self.masks(genes)
-        model = _weighted(inputs)
+        model = _iterated_model(inputs)
         # Neighbours of a selection of features are corrected from its solution, which needs all
         # terms, and equations that are the same for all.
         corrects = (near is not None and model is None and self._gene_of_term is None
@@ -307,7 +307,7 @@ class SelectionProblem(Problem):
         if self._gene_of_term is not None or not self._selects_features:
             return None
         # A plugin's own objective, or equations of each selection's own.
-        if type(self).evaluate is not SelectionProblem.evaluate or _weighted(self.inputs):
+        if type(self).evaluate is not SelectionProblem.evaluate or _iterated_model(self.inputs):
             return ()
         from termsel.selection.problems.feature_rows import row_systems
 
@@ -347,7 +347,7 @@ class SelectionProblem(Problem):
         return np.asarray(2.0 - line.any(axis=1) - sample.any(axis=1))
 
 
-def _weighted(inputs: ProblemData) -> RationalModel | None:
+def _iterated_model(inputs: ProblemData) -> RationalModel | None:
     """Return a model that is iterated for each selection of points, else None."""
     model = inputs.model
     lines = inputs.control.lines

@@ -98,7 +98,7 @@ class Patience:
         if self.generations is None:
             return False
         # A smaller violation, or a better objective, begins the waiting again.
-        if self.least is None or ledger.best[0] < self.violation or self._gained(ledger):
+        if self.least is None or ledger.best[0] < self.violation or self._has_gained(ledger):
             self.violation = ledger.best[0]
             self.least = ledger.least.copy()
             self.idle = 0
@@ -106,7 +106,7 @@ class Patience:
             self.idle += 1
         return self.idle >= self.generations
 
-    def _gained(self, ledger: Ledger) -> bool:
+    def _has_gained(self, ledger: Ledger) -> bool:
         assert self.least is not None
         # Infinite until an individual is feasible: the first such one is a gain, whatever it has.
         reached = np.isfinite(self.least)

@@ -165,7 +165,7 @@ class Stage:
             # The digest of the selections tells whether this is the same search.
             if n == 0 or len(values) % columns or n > len(keys) \
                     or line.digest != _digest(keys[:n]):
-                raise self._of_another()
+                raise self._error_for_other_search()
             # The last population of a smaller budget was cut short: it is evaluated as a whole.
             if n < len(keys):
                 continue
@@ -188,7 +188,7 @@ class Stage:
                                hint="Give the name of a new file, or what the file was made with.",
                                file=self.path)
 
-    def _of_another(self) -> TermselError:
+    def _error_for_other_search(self) -> TermselError:
         """Return the error for a checkpoint that another search has written."""
         where = f"from evaluation {self._taken + 1:,} on " if self._taken else ""
         return TermselError(

@@ -157,14 +157,14 @@ class Ledger(ProblemAround):
             if len(unknown_keys) < len(genes):
                 first = dict(zip(reversed(keys), range(len(keys) - 1, -1, -1), strict=True))
                 unknown_genes = genes[[first[key] for key in unknown_keys]]
-            evaluation = self._computed(list(unknown_keys), unknown_genes, near)
+            evaluation = self._evaluation_of(list(unknown_keys), unknown_genes, near)
             if fault := evaluation_fault(self.inner, evaluation, unknown_genes):
                 raise wrong(self.inner, "evaluate", fault)
             # At least doubled: in the whole search each row is copied about once.
             if end > len(self._values):
                 space = np.empty((max(len(self._values), len(unknown_keys)), self._values.shape[1]))
                 self._values = np.concatenate([self._values, space])
-            compared = self._compared(evaluation)
+            compared = self._evaluation_for_solver(evaluation)
             self._values[start:end, :-1] = compared.objectives
             self._values[start:end, -1] = compared.violation
             self._row_of.update(zip(unknown_keys, range(start, end), strict=True))
@@ -175,7 +175,7 @@ class Ledger(ProblemAround):
         rows = np.fromiter(map(self._row_of.__getitem__, keys), np.intp, len(keys))
         return Evaluation(self._values[rows, :-1], self._values[rows, -1])
 
-    def _computed(self, keys: list[bytes], genes: Genes, near: Genes | None) -> Evaluation:
+    def _evaluation_of(self, keys: list[bytes], genes: Genes, near: Genes | None) -> Evaluation:
         """Return the evaluation of a checkpoint, or else that of the problem."""
         stored = None if self.stage is None else self.stage.taken(keys, self.inner, genes)
         if stored is not None:
@@ -201,7 +201,7 @@ class Ledger(ProblemAround):
             self.gains.append((self.count + keys.index(unknown_keys[i]) + 1,
                                float(objectives[i, 0])))
 
-    def _compared(self, evaluation: Evaluation) -> Evaluation:
+    def _evaluation_for_solver(self, evaluation: Evaluation) -> Evaluation:
         """Return the evaluation of a population as the solver gets it.
 
         A search that draws lots compares individuals; those that differ by rounding must be equal

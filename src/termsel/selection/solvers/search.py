@@ -268,7 +268,7 @@ def search(
     finally:
         _write(ledger)
     if ledger.best_genes is None:
-        raise _unevaluated(solver, generation)
+        raise _error_without_evaluation(solver, generation)
     if told.ended:
         notes = (*notes, "An observer ended the search.")
     details = generation.details if generation else {}
@@ -291,7 +291,7 @@ def _write(ledger: Ledger) -> None:
         ledger.stage.write()
 
 
-def _unevaluated(solver: Solver, generation: Generation | None) -> TermselError:
+def _error_without_evaluation(solver: Solver, generation: Generation | None) -> TermselError:
     """Return the error for a search without an evaluation."""
     if generation is None:
         return TermselError(f"solver {solver.name!r} evaluated nothing",

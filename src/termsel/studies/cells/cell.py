@@ -71,8 +71,8 @@ def cells_of(spec: Spec, data: list[Data]) -> list[Cell]:
             name = problem.name if problem else None if data_set.features is None \
                 else problem_for(data_set.features)
             for split in spec.splits:
-                cells += list(_of_data(spec, kinds, problem, name, data_set,
-                                       alternatives=data_sets, split=split))
+                cells += list(_cells_of_data(spec, kinds, problem, name, data_set,
+                                             alternatives=data_sets, split=split))
     if cells and all(cell.data.features is None for cell in cells):
         raise TermselError(cells[0].data.reason, hint=None if len(cells) == 1 else
                            f"None of the {len(cells)} cells can run; this is the first.")
@@ -117,8 +117,9 @@ def _own_data(spec: Spec, problem: PartSpec | None) -> Data:
     return of_dataset(recipe.dataset)
 
 
-def _of_data(spec: Spec, kinds: _Kinds, problem: PartSpec | None, name: str | None, data: Data,
-             alternatives: list[Data], split: int) -> Iterator[Cell]:
+def _cells_of_data(spec: Spec, kinds: _Kinds, problem: PartSpec | None, name: str | None,
+                   data: Data,
+                   alternatives: list[Data], split: int) -> Iterator[Cell]:
     """Yield the cells of one problem and one data set, by strategy, parts and seed."""
     problem_spec: PartSpec | None = problem or (PartSpec(name, name) if name else None)
     for strategy in spec.strategies:
@@ -138,7 +139,7 @@ def _of_data(spec: Spec, kinds: _Kinds, problem: PartSpec | None, name: str | No
                 # The files said what the problem is: these cannot be, others can.
                 data = replace(data, features=None, reason=kind.reason)
             # Splits of data whose roles are all given would be the same run again.
-            if split != spec.splits[0] and not _drawn(kind.options, data):
+            if split != spec.splits[0] and not _draws_roles(kind.options, data):
                 continue
             # Without chance every seed has the same result.
             seeds = spec.seeds if kind.chance else spec.seeds[:1]
@@ -146,7 +147,7 @@ def _of_data(spec: Spec, kinds: _Kinds, problem: PartSpec | None, name: str | No
                 yield _cell(spec, strategy, specs, kind, data, split=split, seed=seed)
 
 
-def _drawn(options: Mapping[str, Any], data: Data) -> bool:
+def _draws_roles(options: Mapping[str, Any], data: Data) -> bool:
     """Return whether a split assigns any roles; without that all splits are one instance."""
     # Keys may have the name of a part in front, "data.roles".
     how = next((value for key, value in options.items()
@@ -186,7 +187,7 @@ class _Kinds:
         if key not in self._known:
             if specs["problem"] is None:  # the data cannot be read, so nothing is known
                 return _Kind({}, {}, chance=False)
-            self._known[key] = self._checked(strategy, specs, [data, *alternatives])
+            self._known[key] = self._check_kind(strategy, specs, [data, *alternatives])
         return self._known[key]
 
     def require_used(self) -> None:
@@ -197,8 +198,8 @@ class _Kinds:
                     ("options", key), f"no cell of the study has the option {key!r}",
                     "`termsel describe NAME` lists the options of a problem, model or solver.")
 
-    def _checked(self, strategy: str, specs: Mapping[str, PartSpec | None],
-                 data: list[Data]) -> _Kind:
+    def _check_kind(self, strategy: str, specs: Mapping[str, PartSpec | None],
+                    data: list[Data]) -> _Kind:
         """Return what all cells of a kind have in common, checked on the first data that fit."""
         spec = self._spec
         first = None
@@ -208,9 +209,9 @@ class _Kinds:
             if data_set.features is None:
                 continue
             # First without options, to learn which parts there are and what they declare.
-            without_options = self._asked(strategy, specs, data_set, {})
+            without_options = self._request_of_run(strategy, specs, data_set, {})
             options = self._options(strategy, specs, without_options)
-            request = self._asked(strategy, specs, data_set, options)
+            request = self._request_of_run(strategy, specs, data_set, options)
             checksums = {role: made_of(getattr(request, role))
                          for role in ("recipe", "model", "criterion", "solver", "then")}
             if strategy == "auto":
@@ -234,15 +235,15 @@ class _Kinds:
                          # as well.
                          chance=strategy != "auto" and (
                              solver.uses_chance or bool(request.options["search"]["polish"])),
-                         made_of=checksums, others=_of_others(strategy, request, measures))
+                         made_of=checksums, others=_uses_foreign_parts(strategy, request, measures))
         assert first is not None  # some data can be read, or there would be no study
         named = next((spec_of_role for role in ("solver", "model", "criterion", "problem")
                       if (spec_of_role := specs[role]) and spec_of_role.path), None)
         return _Kind({}, {}, chance=False, reason=str(first), unfit=spec.places.error(
             named.path if named else (), first.what, first.hint))
 
-    def _asked(self, strategy: str, specs: Mapping[str, PartSpec | None], data: Data,
-               options: Mapping[str, Any]) -> Request:
+    def _request_of_run(self, strategy: str, specs: Mapping[str, PartSpec | None], data: Data,
+                        options: Mapping[str, Any]) -> Request:
         """Return the request of a run; errors name the place in the study's file."""
         problem = specs["problem"]
         assert problem is not None
@@ -260,7 +261,7 @@ class _Kinds:
                 named_problem, **{**names, **method}, features=data.features, source=data.source,
                 options=options))
         except TermselError as error:
-            raise self._at_fault(specs, error) from error
+            raise self._locate_fault(specs, error) from error
 
     def _require_method(self, method: PartSpec | None) -> None:
         """Refuse a name that no method has, or what is none."""
@@ -271,7 +272,8 @@ class _Kinds:
         except TermselError as error:
             raise self._spec.places.error(method.path, error.what, error.hint) from error
 
-    def _at_fault(self, specs: Mapping[str, PartSpec | None], error: TermselError) -> TermselError:
+    def _locate_fault(self, specs: Mapping[str, PartSpec | None],
+                      error: TermselError) -> TermselError:
         """Return the error with the place of the part, or the option, that it is about."""
         for role, spec in specs.items():
             # An error names the option as "solver.population" or as "population".
@@ -392,7 +394,7 @@ def _measures_of(spec: Spec) -> list[Measure]:
     return [names.get("measures", name) for name in spec.measures]
 
 
-def _of_others(strategy: str, request: Request, measures: Iterable[Measure]) -> bool:
+def _uses_foreign_parts(strategy: str, request: Request, measures: Iterable[Measure]) -> bool:
     """Return whether plugins that are not termsel's, or objects from Python, take part in cells."""
     own_distributions = {PROJECT, *own_packages()}
     # Which of its methods auto will fit is not known before.

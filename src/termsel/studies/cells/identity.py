@@ -50,13 +50,13 @@ def _words(value: Any, above: set[int]) -> Iterator[str]:
     # The values that hold this one, so that a cycle ends.
     above.add(id(value))
     yield type(value).__name__
-    for component in _parts(value):
+    for component in _parts_of_value(value):
         yield from _words(component, above)
     yield "."
     above.remove(id(value))
 
 
-def _parts(value: Any) -> Iterator[Any]:
+def _parts_of_value(value: Any) -> Iterator[Any]:
     """Yield what a value consists of."""
     if isinstance(value, Mapping):
         # Sets and mappings have no order that lasts.
@@ -66,9 +66,9 @@ def _parts(value: Any) -> Iterator[Any]:
     elif isinstance(value, set | frozenset):
         yield from sorted(value, key=str)
     elif isinstance(value, type):
-        yield from _of_class(value)
+        yield from _parts_of_class(value)
     elif isinstance(value, FunctionType):
-        yield from _of_function(value)
+        yield from _parts_of_function(value)
     elif isinstance(value, CodeType):
         yield from (value.co_code, value.co_names, value.co_consts, value.co_varnames)
     elif isinstance(value, MethodType):
@@ -95,7 +95,7 @@ def _plain(attributes: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in attributes.items() if isinstance(value, _PLAIN)}
 
 
-def _of_class(kind: type) -> Iterator[Any]:
+def _parts_of_class(kind: type) -> Iterator[Any]:
     """Yield what decides what a class does: its code and that of its bases."""
     # A class does what its bases do, so their code counts as well.
     for base in kind.__mro__:
@@ -107,7 +107,7 @@ def _of_class(kind: type) -> Iterator[Any]:
                    (not name.startswith("__") or isinstance(value, FunctionType))}
 
 
-def _of_function(function: FunctionType) -> Iterator[Any]:
+def _parts_of_function(function: FunctionType) -> Iterator[Any]:
     """Yield what decides what a function does: code, defaults, and what it has enclosed."""
     yield f"{function.__module__}.{function.__qualname__}"
     for cell in function.__closure__ or ():

@@ -150,7 +150,7 @@ class Journal:
     def _write(self, record: Mapping[str, Any]) -> None:
         """Append a record as one line; a part of it that is written is taken back on failure."""
         assert self._file is not None
-        line = _sealed(record)
+        line = _seal_record(record)
         try:
             # Without a buffer in between, so that a killed process leaves a torn line at worst.
             unwritten = line
@@ -184,7 +184,7 @@ def read_journal(folder: Path) -> Journal:
     lines = content.splitlines(keepends=True)
     damaged = []
     for number, line in enumerate(lines, 1):
-        record = _opened(line)
+        record = _record_of_line(line)
         if record is None:
             # The last line may be torn by a crash; one in the middle is damage.
             if number == len(lines):
@@ -223,13 +223,13 @@ def _torn_at_once(lines: list[bytes]) -> bool:
     return len(lines) == 1 and b'{"record":{"schema"'.startswith(lines[0][:19])
 
 
-def _sealed(record: Mapping[str, Any]) -> bytes:
+def _seal_record(record: Mapping[str, Any]) -> bytes:
     """Return a record as a line with its checksum."""
     text = _text(record)
     return f'{{"record":{text},"sha256":"{_sum(text)}"}}\n'.encode()
 
 
-def _opened(line: bytes) -> Mapping[str, Any] | None:
+def _record_of_line(line: bytes) -> Mapping[str, Any] | None:
     """Return the record of a line; None if it is torn or damaged."""
     # A line is complete with its line end.
     if not line.endswith(b"\n"):

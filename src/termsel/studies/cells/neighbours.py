@@ -69,7 +69,7 @@ def batch_of(settings: Mapping[str, Mapping[str, Any]]) -> Batch:
     """Return what images say of each other, given the setting of each by its name."""
     sentences: list[str] = []
     doubts: dict[str, list[str]] = {}
-    for sentence, images in (*_elsewhere(settings), *_mirrored(settings)):
+    for sentence, images in (*_elsewhere(settings), *_note_on_mirrored(settings)):
         sentences.append(f"{sentence}: {first_of(list(images))}.")
         for name, doubt in images.items():
             doubts.setdefault(name, []).append(doubt)
@@ -129,7 +129,8 @@ def _guess(setting: Mapping[str, Any], group: FloatArray, reach: float) -> str:
     return ELSEWHERE
 
 
-def _mirrored(settings: Mapping[str, Mapping[str, Any]]) -> list[tuple[str, dict[str, str]]]:
+def _note_on_mirrored(settings: Mapping[str, Mapping[str, Any]]) -> list[tuple[str,
+                                                                               dict[str, str]]]:
     """Return a sentence on images that are mirrored where most are not, or the other way round."""
     is_mirrored_image = {name: bool(setting["mirrored"]) for name, setting in settings.items()
                          if setting.get("mirrored") is not None}

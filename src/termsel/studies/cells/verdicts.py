@@ -99,7 +99,7 @@ def _verdict(row: Mapping[str, Any], accept: Accept | None, usual: float) -> tup
         against += _too_uncertain(row)
         if against:
             return DOUBTFUL, "; ".join(against)
-        return FIT, f"nothing contradicts its figures{_verified(row)}"
+        return FIT, f"nothing contradicts its figures{_how_verified(row)}"
     interval = _interval(row, accept.unit)
     if interval is None:
         return DOUBTFUL, f"its RMSE is not known in {accept.unit}"
@@ -111,7 +111,7 @@ def _verdict(row: Mapping[str, Any], accept: Accept | None, usual: float) -> tup
     if high > accept.size:
         return DOUBTFUL, "; ".join([f"{figure}, so {asked} is not certain", *against])
     return (DOUBTFUL, "; ".join(against)) if against else (
-        FIT, f"{figure} meets {asked}{_verified(row)}")
+        FIT, f"{figure} meets {asked}{_how_verified(row)}")
 
 
 def _too_uncertain(row: Mapping[str, Any]) -> list[str]:
@@ -124,7 +124,7 @@ def _too_uncertain(row: Mapping[str, Any]) -> list[str]:
     return [f"{points} leave its RMSE between {rounded(low)} and {rounded(high)} px"]
 
 
-def _verified(row: Mapping[str, Any]) -> str:
+def _how_verified(row: Mapping[str, Any]) -> str:
     """Return how an RMSE is known: by independent check points, or not verified by any."""
     number = row["n_independent"] or 0
     return f"; {counted(number, 'independent check point')}" if number else \

@@ -70,20 +70,20 @@ def processes(cells: Sequence[Cell], features: Mapping[str, FeatureSet], stop: S
     waiting = deque(cells)
     while waiting and not stop():
         suspects: list[Cell] = []
-        yield from _in_pool(waiting, features, stop, workers, suspects)
+        yield from _run_in_pool(waiting, features, stop, workers, suspects)
         # A process that dies takes all others of its pool with it. What was under way is then
         # repeated one by one, so that the cell at fault is known by name and fails alone.
         for cell in suspects:
             if stop():
                 return
             repeated: list[Cell] = []
-            yield from _in_pool(deque([cell]), features, stop, 1, repeated)
+            yield from _run_in_pool(deque([cell]), features, stop, 1, repeated)
             if repeated:
                 yield failed(cell.key, DIED)
 
 
-def _in_pool(waiting: deque[Cell], features: Mapping[str, FeatureSet], stop: Stop, workers: int,
-             suspects: list[Cell]) -> Iterator[Outcome]:
+def _run_in_pool(waiting: deque[Cell], features: Mapping[str, FeatureSet], stop: Stop, workers: int,
+                 suspects: list[Cell]) -> Iterator[Outcome]:
     """Yield outcomes until all are done or a process dies; say which cells were under way then."""
     running: dict[Future[Outcome], Cell] = {}
     # No fork: threads of numba and BLAS do not survive it.
@@ -96,7 +96,7 @@ def _in_pool(waiting: deque[Cell], features: Mapping[str, FeatureSet], stop: Sto
                 with safe_start():  # the first submission starts the processes
                     while waiting and len(running) < workers * AHEAD and not stop():
                         cell = waiting.popleft()
-                        running[pool.submit(_in_worker, cell)] = cell
+                        running[pool.submit(_run_in_worker, cell)] = cell
                 # As they end, so that the journal has each as soon as possible.
                 for future in wait(running, return_when=FIRST_COMPLETED).done:
                     outcome = future.result()
@@ -127,5 +127,5 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def _in_worker(cell: Cell) -> Outcome:
+def _run_in_worker(cell: Cell) -> Outcome:
     return do(cell, _features[cell.data.key])

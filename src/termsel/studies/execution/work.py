@@ -86,7 +86,8 @@ def _done(cell: Cell, features: FeatureSet) -> Outcome:
     """Return the outcome of a cell, which may be why there is none."""
     trace = _Trace(cell.call.get("timeout"))
     try:
-        state, figures, front, files = (_auto if cell.call["strategy"] == "auto" else _as_asked)(
+        state, figures, front, files = (_auto if cell.call["strategy"] == "auto"
+                                        else _search_as_asked)(
             cell, features, trace)
     except TermselError as error:
         return failed(cell.key, str(error), features)
@@ -145,7 +146,7 @@ class _Trace:
             self.points.append([self._before + self._last, best, time.process_time() - self._cpu])
 
 
-def _as_asked(cell: Cell, features: FeatureSet, trace: _Trace) -> tuple[
+def _search_as_asked(cell: Cell, features: FeatureSet, trace: _Trace) -> tuple[
         State, dict[str, Any], list[list[float]], dict[str, bytes]]:
     """Return state, figures and front of a search."""
     call = cell.call

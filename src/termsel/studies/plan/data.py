@@ -47,7 +47,7 @@ def data_of(spec: Spec, folder: Path) -> list[Data]:
     """Return all data that a study names, each once; file names are relative to `folder`."""
     data_sets: list[Data] = []
     for source in spec.data:
-        data_sets += _of_source(spec, source, folder)
+        data_sets += _data_of_source(spec, source, folder)
     labels: set[str] = set()
     for data in data_sets:
         # Tables call data by their labels.
@@ -70,7 +70,8 @@ def files_of(spec: Spec, folder: Path) -> list[Path]:
     named: list[Path] = []
     for source in spec.data:
         for kind, patterns in source.files.items():
-            named += [folder / name for name in _matched(spec, source, kind, patterns, folder)]
+            named += [folder / name
+                      for name in _matching_files(spec, source, kind, patterns, folder)]
         named += _named_by(source.reading, folder)
     for component in (*spec.problems, *spec.models, *spec.solvers, *spec.criteria):
         named += _named_by(component.options, folder)
@@ -98,7 +99,7 @@ def of_dataset(name: str, path: Keys = ()) -> Data:
     return Data(name, _key(features), source, features, path=path)
 
 
-def _of_source(spec: Spec, source: Source, folder: Path) -> Iterator[Data]:
+def _data_of_source(spec: Spec, source: Source, folder: Path) -> Iterator[Data]:
     """Yield the data of one source: feature sets, a data set, or files by pattern."""
     for label, features in source.features.items():
         yield Data(label, _key(features), label, features, path=source.path)
@@ -109,22 +110,22 @@ def _of_source(spec: Spec, source: Source, folder: Path) -> Iterator[Data]:
             raise spec.places.error((*source.path, "dataset"), error.what, error.hint) from error
     if source.files:
         # Files by kind, then paired to images, then divided into parts.
-        matched = {kind: _matched(spec, source, kind, patterns, folder)
+        matched = {kind: _matching_files(spec, source, kind, patterns, folder)
                    for kind, patterns in source.files.items()}
         for files in _together(spec, source, matched):
-            for part_name, options in _parts(source, files, folder).items():
+            for part_name, options in _options_by_part(source, files, folder).items():
                 yield _read(source, files, folder, part_name, options)
 
 
-def _matched(spec: Spec, source: Source, kind: str, patterns: tuple[str, ...],
-             folder: Path) -> list[str]:
+def _matching_files(spec: Spec, source: Source, kind: str, patterns: tuple[str, ...],
+                    folder: Path) -> list[str]:
     """Return the files of patterns, in the order of the patterns and then of their names."""
     files: list[str] = []
     for pattern in patterns:
         # A name without a wildcard is a file that must be there.
         # A plain name must exist; a pattern must match anything.
         wild = any(sign in pattern for sign in _WILD)
-        names = _globbed(pattern, folder) if wild else [pattern]
+        names = _glob_files(pattern, folder) if wild else [pattern]
         if not names or (not wild and not os.path.exists(folder / pattern)):
             raise spec.places.error((*source.path, kind), f"no file matches {pattern!r} in "
                                     f"{folder.resolve()}", "Check the name and the folder.")
@@ -132,7 +133,7 @@ def _matched(spec: Spec, source: Source, kind: str, patterns: tuple[str, ...],
     return list(dict.fromkeys(files))
 
 
-def _globbed(pattern: str, folder: Path) -> list[str]:
+def _glob_files(pattern: str, folder: Path) -> list[str]:
     """Return the files that match a pattern, and say that this goes on where it takes long."""
     timer = Timer(SOON, log.warning, (
         "Note: looking for files that match %s in %s takes long. Ctrl-C ends the command.",
@@ -171,7 +172,9 @@ def _together(spec: Spec, source: Source,
         yield {kind: by_stem[kind][stem] for kind in kinds}
 
 
-def _parts(source: Source, files: Mapping[str, str], folder: Path) -> dict[str, dict[str, Any]]:
+def _options_by_part(source: Source, files: Mapping[str, str], folder: Path) -> dict[str,
+                                                                                     dict[str,
+                                                                                          Any]]:
     """Return the options of each part of a file that has several; of another nothing."""
     undivided: dict[str, dict[str, Any]] = {"": {}}
     if set(files) != {"points"}:

@@ -96,7 +96,7 @@ def spec_of(table: Mapping[str, Any], places: Places | None = None) -> Spec:
         if key not in KEYS:
             raise at.unknown((key,), "key of a study", KEYS)
     strategies = _texts(at, ("strategies",), table.get("strategies", []), STRATEGIES)
-    components = {kind: _parts(at, kind, table.get(kind, [])) for kind in PARTS}
+    components = {kind: _parts_of_kind(at, kind, table.get(kind, [])) for kind in PARTS}
     budget = _budget(at, _table(at, ("budget",), table.get("budget", {})))
     named = [kind for kind in ("models", "solvers", "criteria") if components[kind]]
     # Who names methods or limits of a search asks for one; a timeout is of auto, too.
@@ -155,7 +155,7 @@ def _as_in_a_file(value: Any) -> Any:
     return value
 
 
-def _parts(at: Places, kind: str, listed: Any) -> tuple[PartSpec, ...]:
+def _parts_of_kind(at: Places, kind: str, listed: Any) -> tuple[PartSpec, ...]:
     """Return the parts of a kind that a study lists, each with a label of its own."""
     if not isinstance(listed, Sequence) or isinstance(listed, str):
         raise at.error((kind,), f"{kind} is not a list", f'Write {kind} = ["name", ...].')

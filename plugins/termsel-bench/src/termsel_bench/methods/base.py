@@ -89,9 +89,9 @@ class Method:
             If the method cannot, or code of a package fails.
         """
         with options_of_file(self.file):
-            return self._applied(features, seed)
+            return self._apply_method(features, seed)
 
-    def _applied(self, features: FeatureSet, seed: int) -> Projection:
+    def _apply_method(self, features: FeatureSet, seed: int) -> Projection:
         """Return the projection that the method finds, by its kind."""
         if self.kind == "auto":
             return termsel.run(features=features, seed=seed).project

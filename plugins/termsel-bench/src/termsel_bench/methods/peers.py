@@ -132,7 +132,7 @@ def ransac(features: FeatureSet, seed: int) -> Projection:
         LinearRegression(fit_intercept=False), min_samples=count, max_trials=500,
         # Of both axes together.
         residual_threshold=2 * _RANSAC_PIXELS, random_state=seed))
-    return _fitted(model, features, positions)
+    return _fit_peer(model, features, positions)
 
 
 def ridge(features: FeatureSet, seed: int) -> Projection:
@@ -148,14 +148,14 @@ def ridge(features: FeatureSet, seed: int) -> Projection:
         make_pipeline(StandardScaler(), PolynomialFeatures(include_bias=False), Ridge()),
         {"polynomialfeatures__degree": [1, 2, 3], "ridge__alpha": _ALPHAS},
         scoring="neg_mean_squared_error", cv=KFold(5, shuffle=True, random_state=seed))
-    return _fitted(model, features, positions)
+    return _fit_peer(model, features, positions)
 
 
 def _sklearn() -> Any:
     return requires("the peer requires", "scikit-learn", "scikit-learn")
 
 
-def _fitted(model: Any, features: FeatureSet, positions: FloatArray) -> Projection:
+def _fit_peer(model: Any, features: FeatureSet, positions: FloatArray) -> Projection:
     """Return the projection of an estimator of scikit-learn."""
     try:
         model.fit(positions, features.points.image)

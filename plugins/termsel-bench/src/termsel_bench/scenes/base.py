@@ -49,7 +49,8 @@ class BenchSet:
         """Return texts by name of file: points with roles, lines, and the RPC."""
         named = {f"{self.name}.csv": _text(
             self.features.crs, "id,role,line,sample,x,y,z",
-            [*_rows(self.features.points, self), *_rows(self.independent, self, "independent")])}
+            [*_scene_rows(self.features.points, self),
+             *_scene_rows(self.independent, self, "independent")])}
         lines = self.features.lines
         if len(lines):
             rows = []
@@ -122,7 +123,7 @@ def _text(crs: str, header: str, rows: list[tuple[str, ...]]) -> str:
     return "\n".join([f"# crs: {crs}", header, *(",".join(row) for row in rows)]) + "\n"
 
 
-def _rows(points: Points, bench_set: BenchSet, role: str = "") -> Iterator[tuple[str, ...]]:
+def _scene_rows(points: Points, bench_set: BenchSet, role: str = "") -> Iterator[tuple[str, ...]]:
     for name, own_role, image, ground in zip(points.ids, points.roles, points.image, points.ground,
                                              strict=True):
         yield (name, role or own_role, *_numbers(image, PIXELS), *_place(ground, bench_set))

@@ -195,7 +195,7 @@ def _scanner(kind: str, rng: Generator, ranges: Ranges, size: tuple[int, int], p
         angles = [_shaken(rng, sensor.ifov, half, large, (half / 2, 0.15 if kind == "steady"
                                                           else 1.0), lever)
                   for lever in (1.0, 1.0, 2.0 / size[1])]
-        return _replaced(sensor, angles)
+        return _sensor_with_angles(sensor, angles)
     course = rng.uniform(0.0, 2 * np.pi) if kind == "airborne" or rng.random() < 0.6 else np.pi
     middle = to_ecef(np.array([[lon, lat, height]]))[0]
     axes = _axes_at(lon, lat)
@@ -281,7 +281,7 @@ def _shaken(rng: Generator, unit: float, half: float, drift: tuple[float, ...],
                  ((unit * lever * jitter[1], 1.0 / jitter[0], rng.uniform(0, 2 * np.pi)),))
 
 
-def _replaced(sensor: Pushbroom, angles: list[Angle]) -> Pushbroom:
+def _sensor_with_angles(sensor: Pushbroom, angles: list[Angle]) -> Pushbroom:
     """Return a sensor to whose attitude further angles are added."""
     def joined(before: Angle, added: Angle) -> Angle:
         drift = np.zeros(max(len(before.drift), len(added.drift)))

@@ -42,8 +42,9 @@ class SetSettings:
     settings: Mapping[str, Any]
 
 
-def _some(kind: str, counts: tuple[int, ...], **settings: tuple[Any, ...]) -> tuple[SetSettings,
-                                                                                    ...]:
+def _some_scenes(kind: str, counts: tuple[int, ...],
+                 **settings: tuple[Any, ...]) -> tuple[SetSettings,
+                                                                                           ...]:
     sets = []
     for i, count in enumerate(counts):
         of_set = {name: values[i] for name, values in settings.items()}
@@ -52,18 +53,19 @@ def _some(kind: str, counts: tuple[int, ...], **settings: tuple[Any, ...]) -> tu
 
 
 _ALL_SETS = (
-    *_some("steady", (10, 14, 20, 30, 44, 64)),
-    *_some("agile", (12, 18, 26, 40, 60)),
-    *_some("frame", (10, 16, 28, 50)),
-    *_some("panoramic", (14, 22, 36, 60)),
-    *_some("radar", (10, 18, 32, 56)),
-    *_some("old-map", (16, 24, 40, 60, 90), local=(5.0, 0.0, 15.0, 5.0, 0.0),
-           joints=(6.0, 10.0, 0.0, 6.0, 0.0), sheets=((2, 2), (2, 3), (1, 1), (2, 2), (1, 1))),
-    *_some("vendor-rpc", (2, 4, 8, 16), error=("shift", "drift", "affine", "shift")),
-    *_some("matches", (40, 60, 80, 100), wrong=(0.1, 0.2, 0.3, 0.4)),
-    *_some("lines", (6, 6, 8, 8), scene=("ikonos-hamedan", "geoeye-tehran", "spot-isfahan",
-                                         "cartosat-hyderabad"),
-           n_lines=(24, 40, 60, 100), wrong_lines=(0, 3, 0, 10)),
+    *_some_scenes("steady", (10, 14, 20, 30, 44, 64)),
+    *_some_scenes("agile", (12, 18, 26, 40, 60)),
+    *_some_scenes("frame", (10, 16, 28, 50)),
+    *_some_scenes("panoramic", (14, 22, 36, 60)),
+    *_some_scenes("radar", (10, 18, 32, 56)),
+    *_some_scenes("old-map", (16, 24, 40, 60, 90), local=(5.0, 0.0, 15.0, 5.0, 0.0),
+                  joints=(6.0, 10.0, 0.0, 6.0, 0.0), sheets=((2, 2), (2, 3), (1, 1), (2, 2),
+                                                             (1, 1))),
+    *_some_scenes("vendor-rpc", (2, 4, 8, 16), error=("shift", "drift", "affine", "shift")),
+    *_some_scenes("matches", (40, 60, 80, 100), wrong=(0.1, 0.2, 0.3, 0.4)),
+    *_some_scenes("lines", (6, 6, 8, 8), scene=("ikonos-hamedan", "geoeye-tehran", "spot-isfahan",
+                                                "cartosat-hyderabad"),
+                  n_lines=(24, 40, 60, 100), wrong_lines=(0, 3, 0, 10)),
 )
 SETS: Mapping[str, SetSettings] = {bench_set.name: bench_set for bench_set in _ALL_SETS}
 """Settings of all sets by name."""

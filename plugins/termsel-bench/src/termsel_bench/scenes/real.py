@@ -62,7 +62,7 @@ def real_set(folder: Path) -> BenchSet:
     """
     file = folder / DECLARATION
     # Licence, source and commit first: without them nobody may use the points.
-    declared = _declared(file)
+    declared = _declaration_of(file)
     licence = _inside(folder, declared["licence_file"], file)
     if len(licence.decode("utf-8", "replace").strip()) < _LEAST_LICENCE:
         raise TermselError(f"{declared['licence_file']} is not the text of a licence",
@@ -93,7 +93,7 @@ def real_set(folder: Path) -> BenchSet:
                     f"{declared['source']} {declared['commit']}")
 
 
-def _declared(file: Path) -> dict[str, str]:
+def _declaration_of(file: Path) -> dict[str, str]:
     """Return what the declaration of a real set states, all that is needed among it."""
     try:
         declared: Any = json.loads(read_text(file))

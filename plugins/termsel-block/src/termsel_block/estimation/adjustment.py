@@ -86,7 +86,7 @@ def adjust_block(state: State, measured: Sequence[Measured], control: Sequence[O
     shared = pairs([*(of_image.tie for of_image in measured), np.arange(len(state.ties))],
                    len(state.ties))
     run = _Run(state, measured, control, heights, shared)
-    report = progress or _nothing
+    report = progress or _show_nothing
     state.in_use = state.in_use or [np.ones(len(of_image.tie), bool) for of_image in measured]
     state.control_in_use = state.control_in_use or [np.ones(len(of_image), bool)
                                                     for of_image in control]
@@ -95,7 +95,7 @@ def adjust_block(state: State, measured: Sequence[Measured], control: Sequence[O
     # Jitter is tried before evidence drops anything, as its columns explain what others would
     # follow.
     if run.grow(fixed):
-        steps += run.iterate(robust=True, limit=_STAGE_STEPS, report=_nothing)
+        steps += run.iterate(robust=True, limit=_STAGE_STEPS, report=_show_nothing)
     # Dropping a group changes the evidence of the others, so that a second look may drop more.
     evidence: list[dict[str, float]] = [{} for _ in state.cameras]
     for _ in range(2):
@@ -118,7 +118,7 @@ def adjust_block(state: State, measured: Sequence[Measured], control: Sequence[O
     for _ in range(_LOOSENED):
         if not run.loosen():
             break
-        steps += run.iterate(robust=False, limit=_STAGE_STEPS, report=_nothing)
+        steps += run.iterate(robust=False, limit=_STAGE_STEPS, report=_show_nothing)
     # Before `integrate`, which moves images to the mean over all variances by purpose.
     moved = run.moved()
     draws = run.integrate()
@@ -195,8 +195,8 @@ class _Run(Steps):
                           state.parameters, loose.reduced.slices, self.heights.guessed())
         # The step to the posterior mean, with the covariance over all variances.
         self.solved = loose.at(integrated.mean, integrated.covariance)
-        start = [self._computed(i) for i in range(len(state.cameras))]
-        moves = self._moves()
+        start = [self._positions_of_ties(i) for i in range(len(state.cameras))]
+        moves = self._tie_moves()
         state.ties = state.ties + self.solved.ties
         state.parameters = [
             camera.followed(old, step, at + moved, state.ties[tie_rows.tie])
@@ -365,5 +365,5 @@ class _Run(Steps):
         return changed
 
 
-def _nothing(share: float) -> None:
+def _show_nothing(share: float) -> None:
     """Show no progress."""

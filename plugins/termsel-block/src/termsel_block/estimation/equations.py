@@ -161,10 +161,10 @@ class Reduced:
             return [self.inverse[columns, columns] for columns in self.slices]
         blocks = []
         for first in range(0, self._size, _CHUNK):
-            blocks.append(self._diagonal(first, min(first + _CHUNK, self._size)))
+            blocks.append(self._diagonal_blocks(first, min(first + _CHUNK, self._size)))
         return list(chain.from_iterable(blocks))
 
-    def _diagonal(self, first: int, end: int) -> list[FloatArray]:
+    def _diagonal_blocks(self, first: int, end: int) -> list[FloatArray]:
         """Return the blocks of the inverse of images that begin in a range of columns."""
         in_range = [columns for columns in self.slices if first <= columns.start < end]
         if not in_range:
@@ -266,7 +266,7 @@ def solve(
     for i, rows in enumerate(tie_rows):
         right[i] = right[i] - np.einsum("tkj,tj->k", half[i], steered[rows.tie])
     # Schur complement: A - B H^-1 B^T, of which half holds B L^-T.
-    matrix = _reduced(diagonal, half, sharing, sizes)
+    matrix = _reduced_matrix(diagonal, half, sharing, sizes)
     reduced = Reduced(matrix, sizes)
     step = reduced.solve(np.concatenate(right))
     steps = tuple(step[columns] for columns in reduced.slices)
@@ -279,9 +279,9 @@ def solve(
                   tuple(tie_rows))
 
 
-def _reduced(diagonal: Sequence[FloatArray], half: Sequence[FloatArray],
-             sharing: Sequence[Shared], sizes: Sequence[int],
-             ) -> FloatArray | sparse.csc_matrix:
+def _reduced_matrix(diagonal: Sequence[FloatArray], half: Sequence[FloatArray],
+                    sharing: Sequence[Shared], sizes: Sequence[int],
+                    ) -> FloatArray | sparse.csc_matrix:
     """Return the matrix of the images alone, dense where it is small."""
     total = sum(sizes)
     ends = np.cumsum(sizes)

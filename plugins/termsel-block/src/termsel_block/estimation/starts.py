@@ -72,35 +72,36 @@ def start(images: Sequence[ImageInput], count: int, frame: Frame, heights: Heigh
     """
     started: Started = {}
     for i, image in enumerate(images):
-        camera = _own(image, frame)
+        camera = _camera_by_own_data(image, frame)
         if camera is not None:
             control = image.control
-            started[i] = camera, _begun(camera, control.local, control.normal, control.value)
+            started[i] = camera, _first_parameters(camera, control.local, control.normal,
+                                                   control.value)
     _refuse_elsewhere(images, started, count)
     ties = np.full((count, 3), np.nan)
     located = np.zeros(count, bool)
     # Each round begins one image: the one that sees most ties whose positions are known.
     while True:
-        ties, located = _located(images, started, ties, located, heights)
+        ties, located = _locate_ties(images, started, ties, located, heights)
         waiting = [i for i in range(len(images)) if i not in started]
         if not waiting:
             break
         best = max(waiting, key=lambda i: int(located[images[i].measured.tie].sum()))
         is_located = located[images[best].measured.tie]
         if is_located.sum() < LEAST_TIES:
-            _refuse(images, waiting, located)
-        started[best] = _by_ties(images[best], is_located, ties, frame)
+            _refuse_unheld(images, waiting, located)
+        started[best] = _model_by_ties(images[best], is_located, ties, frame)
     # What no two images see stays in the middle, so that all places are numbers.
     ties[~located] = np.median(ties[located], axis=0) if located.any() else 0.0
     cameras = [started[i][0] for i in range(len(images))]
     state = State(cameras, [started[i][1] for i in range(len(images))], ties,
                   [np.square(camera.prior_sigma) for camera in cameras])
     # Ties and control begin with one standard deviation, that of all residuals.
-    state.sigma_ties = state.sigma_control = max(_spread(images, state), 0.1)
+    state.sigma_ties = state.sigma_control = max(_residual_spread(images, state), 0.1)
     return state
 
 
-def _own(image: ImageInput, frame: Frame) -> Camera | None:
+def _camera_by_own_data(image: ImageInput, frame: Frame) -> Camera | None:
     """Return the camera of an image by its RPC or its control; None where it has neither."""
     if image.rpc is not None:
         # An RPC comes before control, which then corrects it.
@@ -142,7 +143,7 @@ def _refuse_elsewhere(images: Sequence[ImageInput], started: Started, count: int
                                         "easting.")
         # Where the RPC puts the ties on the ground, at its mean height.
         position = image.measured.position
-        placed[i] = np.column_stack([np.ones(len(position)), position]) @ _inverse(
+        placed[i] = np.column_stack([np.ones(len(position)), position]) @ _affine_inverse(
             camera, np.zeros(len(camera.groups)))
     far_images = Counter[int]()
     near_images = Counter[int]()
@@ -178,16 +179,17 @@ def _polynomial(local: FloatArray, image: FloatArray) -> PolynomialCamera:
                             (image_low + image_high) / 2)
 
 
-def _begun(camera: Camera, local: FloatArray, normal: FloatArray, value: FloatArray) -> FloatArray:
+def _first_parameters(camera: Camera, local: FloatArray, normal: FloatArray,
+                      value: FloatArray) -> FloatArray:
     """Return the parameters that a camera begins with."""
     if isinstance(camera, PhysicalCamera):
         return camera.start
     assert isinstance(camera, LinearCamera)
-    return _fitted(camera, local, normal, value)
+    return _fit_parameters(camera, local, normal, value)
 
 
-def _fitted(camera: LinearCamera, local: FloatArray, normal: FloatArray, value: FloatArray,
-            ) -> FloatArray:
+def _fit_parameters(camera: LinearCamera, local: FloatArray, normal: FloatArray, value: FloatArray,
+                    ) -> FloatArray:
     """Return parameters by rows of known places (see `OwnControl`) and priors, robustly."""
     parameters = np.zeros(len(camera.groups))
     if not len(value):
@@ -199,23 +201,23 @@ def _fitted(camera: LinearCamera, local: FloatArray, normal: FloatArray, value: 
     for _ in range(_PERSPECTIVE_FITS):
         fixed = image + camera.perspective(parameters, local)
         aim = value - (normal * fixed).sum(axis=1)
-        parameters = _ridge(rows, aim, np.square(camera.prior_sigma))
+        parameters = _robust_ridge(rows, aim, np.square(camera.prior_sigma))
     return parameters
 
 
-def _by_ties(image: ImageInput, is_located: BoolArray, ties: FloatArray, frame: Frame,
-             ) -> tuple[Camera, FloatArray]:
+def _model_by_ties(image: ImageInput, is_located: BoolArray, ties: FloatArray, frame: Frame,
+                   ) -> tuple[Camera, FloatArray]:
     """Return the model of an image that sees ties whose places are known."""
     local = ties[image.measured.tie[is_located]]
     position = image.measured.position[is_located]
     camera = _polynomial(local, position) if image.physical is None else \
         image.physical.fitted(frame, local, position, image.name)
     # Of each tie two rows, its line and its sample.
-    return camera, _begun(camera, np.repeat(local, 2, axis=0),
-                          np.tile(np.eye(2), (len(local), 1)), position.ravel())
+    return camera, _first_parameters(camera, np.repeat(local, 2, axis=0),
+                                     np.tile(np.eye(2), (len(local), 1)), position.ravel())
 
 
-def _ridge(rows: FloatArray, aim: FloatArray, variances: FloatArray) -> FloatArray:
+def _robust_ridge(rows: FloatArray, aim: FloatArray, variances: FloatArray) -> FloatArray:
     """Return robust estimates under independent priors."""
     weight = np.ones(len(aim))
     estimates: FloatArray = np.zeros(rows.shape[1])
@@ -230,15 +232,15 @@ def _ridge(rows: FloatArray, aim: FloatArray, variances: FloatArray) -> FloatArr
     return np.asarray(estimates)
 
 
-def _located(images: Sequence[ImageInput], started: Started, ties: FloatArray,
-             located: BoolArray, heights: Heights) -> tuple[FloatArray, BoolArray]:
+def _locate_ties(images: Sequence[ImageInput], started: Started, ties: FloatArray,
+                 located: BoolArray, heights: Heights) -> tuple[FloatArray, BoolArray]:
     """Return the places of ties seen by two or more images that have models."""
     # First where affine maps of the images put them, on average, at middle heights.
     count = np.zeros(len(ties))
     total = np.zeros((len(ties), 3))
     for i, (camera, parameters) in sorted(started.items()):
         measured = images[i].measured
-        inverse = _inverse(camera, parameters)
+        inverse = _affine_inverse(camera, parameters)
         at = np.column_stack([np.ones(len(measured.tie)), measured.position]) @ inverse
         middle_height = np.full(len(at), camera.area()[0][2])
         np.add.at(total, measured.tie, np.column_stack([at, middle_height]))
@@ -284,7 +286,7 @@ def intersect(start: FloatArray, rays: Sequence[Rays], heights: Heights | None =
     return ties
 
 
-def _inverse(camera: Camera, parameters: FloatArray) -> FloatArray:
+def _affine_inverse(camera: Camera, parameters: FloatArray) -> FloatArray:
     """Return the affine map (3, 2) from line and sample to a place at the middle height."""
     centre, half = camera.area()
     steps = np.linspace(-1, 1, 5)
@@ -296,7 +298,7 @@ def _inverse(camera: Camera, parameters: FloatArray) -> FloatArray:
         np.column_stack([np.ones(len(image)), image]), local[:, :2], rcond=None)[0])
 
 
-def _spread(images: Sequence[ImageInput], state: State) -> float:
+def _residual_spread(images: Sequence[ImageInput], state: State) -> float:
     """Return a robust standard deviation of all residuals at the start [px]."""
     away = [image.measured.position - camera.project(parameters, state.ties[image.measured.tie])
             for image, camera, parameters in zip(
@@ -305,7 +307,8 @@ def _spread(images: Sequence[ImageInput], state: State) -> float:
     return 1.4826 * float(np.median(np.abs(np.concatenate(away)))) if away else 1.0
 
 
-def _refuse(images: Sequence[ImageInput], waiting: Sequence[int], located: BoolArray) -> None:
+def _refuse_unheld(images: Sequence[ImageInput], waiting: Sequence[int],
+                   located: BoolArray) -> None:
     """Refuse images that nothing holds, by name and with what each has."""
     named = [f"{images[i].name!r} ({len(images[i].control) // 2} control features, "
              f"{int(located[images[i].measured.tie].sum())} ties whose ground positions other "

@@ -64,7 +64,7 @@ class Steps:
         Where that is more than 1, control keeps its weight.
         """
         self.solved = self.linearised(self.state.variances, robust, wide)
-        self._take(robust, wide)
+        self._take_step(robust, wide)
 
     def linearised(self, variances: Sequence[FloatArray], robust: bool = False,
                    wide: float = 1.0) -> Solved:
@@ -78,7 +78,7 @@ class Steps:
                 zip(state.cameras, self.measured, self.control, strict=True)):
             parameters = state.parameters[i]
             local = state.ties[measured.tie]
-            computed = self._computed(i)
+            computed = self._positions_of_ties(i)
             residual = measured.position - computed
             weight = np.where(state.in_use[i], state.sigma_ties**-2, 0.0)
             if robust:
@@ -88,10 +88,11 @@ class Steps:
             if i not in self.slopes:
                 self.slopes[i] = camera.slopes(parameters, local, computed)
             tie_rows.append(TieRows(measured.tie,
-                                    camera.jacobian(parameters, local, self._fixed(i)),
+                                    camera.jacobian(parameters, local, self._fixed_at_ties(i)),
                                     self.slopes[i],
                              residual, weight))
-            block, of_control = self._of_control(i, camera, control, robust and wide == 1.0)
+            block, of_control = self._equations_of_control(i, camera, control, robust
+                                                           and wide == 1.0)
             precision = np.diag(1 / variances[i])
             # Priors of zero mean add V^-1 to the matrix and -V^-1 x to the right side.
             of_images.append(block + precision)
@@ -107,7 +108,7 @@ class Steps:
             raise TermselError("the block is not determined by its control and ties",
                                hint="Give control to an image, or RPCs, or more ties.") from error
 
-    def _take(self, robust: bool, wide: float) -> None:
+    def _take_step(self, robust: bool, wide: float) -> None:
         """Take the step, or the part of it that does not make things worse."""
         state = self.state
         solved = self.solved
@@ -116,7 +117,7 @@ class Steps:
         ties = state.ties
         before = self._cost(robust, wide)
         offset = heights.offset
-        start = [self._computed(i) for i in range(len(parameters))]
+        start = [self._positions_of_ties(i) for i in range(len(parameters))]
         # Halved until the posterior no longer falls: full, half, quarter and so on.
         for halvings in range(_HALVINGS):
             self.share = 0.5**halvings
@@ -125,7 +126,7 @@ class Steps:
                 camera.followed(old, self.share * step, at + self.share * moved,
                                 state.ties[rows.tie])
                 for camera, old, step, at, moved, rows in zip(
-                    state.cameras, parameters, solved.steps[:-1], start, self._moves(),
+                    state.cameras, parameters, solved.steps[:-1], start, self._tie_moves(),
                     solved.tie_rows[:-1], strict=True)]
             heights.offset = offset + self.share * float(solved.steps[-1][0])
             # A step too far may leave no camera at all, whose cost is nan and no improvement.
@@ -210,7 +211,7 @@ class Steps:
                     (1 - _BLUNDERS) * density + _BLUNDERS / _AWAY**len(at)))
         return score
 
-    def _fixed(self, i: int) -> Fixed:
+    def _fixed_at_ties(self, i: int) -> Fixed:
         """Return what no parameter changes at an image's ties, computed once for a state."""
         camera = self.state.cameras[i]
         ties = self.state.ties
@@ -220,19 +221,20 @@ class Steps:
             self.fixed_parts[i] = camera, ties, camera.fixed(ties[self.measured[i].tie])
         return self.fixed_parts[i][2]
 
-    def _computed(self, i: int) -> FloatArray:
+    def _positions_of_ties(self, i: int) -> FloatArray:
         """Return line and sample (n, 2) [px] of an image's ties by its model."""
         local = self.state.ties[self.measured[i].tie]
-        return self.state.cameras[i].project(self.state.parameters[i], local, self._fixed(i))
+        return self.state.cameras[i].project(self.state.parameters[i], local,
+                                             self._fixed_at_ties(i))
 
-    def _of_control(self, i: int, camera: Camera, control: OwnControl, robust: bool,
-                    ) -> tuple[FloatArray, FloatArray]:
+    def _equations_of_control(self, i: int, camera: Camera, control: OwnControl, robust: bool,
+                              ) -> tuple[FloatArray, FloatArray]:
         """Return what an image's control adds to its normal equations."""
         p = len(camera.groups)
         if not len(control):
             return np.zeros((p, p)), np.zeros(p)
         # Kept for `expected` and for the estimates of variances, which are of the same equations.
-        rows, residual = self._rows(i, camera, control)
+        rows, residual = self._control_rows(i, camera, control)
         self.design[i] = rows
         self.noise[i] = sigma = self.state.sigma_control * control.sigma
         share = self.state.control_in_use[i].astype(float)
@@ -242,7 +244,8 @@ class Steps:
         weight = share / sigma**2
         return (rows * weight[:, None]).T @ rows, (rows * weight[:, None]).T @ residual
 
-    def _rows(self, i: int, camera: Camera, control: OwnControl) -> tuple[FloatArray, FloatArray]:
+    def _control_rows(self, i: int, camera: Camera, control: OwnControl) -> tuple[FloatArray,
+                                                                                  FloatArray]:
         """Return the rows (n, p) of an image's control, and the residuals [px]."""
         parameters = self.state.parameters[i]
         # Derivatives of the distance in the direction that is measured, n . (line, sample).
@@ -258,9 +261,9 @@ class Steps:
             # Without ties, the step of the parameters says how far an image moved.
             float(np.abs(moved[rows.weight > 0] if len(rows.tie) else step).max(initial=0.0))
             for rows, step, moved in zip(self.solved.tie_rows[:-1], self.solved.steps[:-1],
-                                         self._moves(), strict=True)])
+                                         self._tie_moves(), strict=True)])
 
-    def _moves(self) -> list[FloatArray]:
+    def _tie_moves(self) -> list[FloatArray]:
         """Return how far the last step moves the ties in each image, to first order [px]."""
         return [rows.rows @ step + np.einsum("nai,ni->na", rows.slopes, self.solved.ties[rows.tie])
                 for rows, step in zip(self.solved.tie_rows[:-1], self.solved.steps[:-1],
@@ -271,8 +274,8 @@ class Steps:
         state = self.state
         of_ties = []
         for i, measured in enumerate(self.measured):
-            of_ties.append(measured.position - self._computed(i))
-        return of_ties, [self._rows(i, camera, control)[1] if len(control) else np.empty(0)
+            of_ties.append(measured.position - self._positions_of_ties(i))
+        return of_ties, [self._control_rows(i, camera, control)[1] if len(control) else np.empty(0)
                          for i, (camera, control) in enumerate(
                              zip(state.cameras, self.control, strict=True))]
 

@@ -108,7 +108,7 @@ def integrate(normal: FloatArray, step: FloatArray, cameras: Sequence[Camera],
     time together with its parameters, as Yu and Meng 2011 interweave them (To center or not to
     center, J. Comput. Graph. Stat. 20(3), 531-570).
     """
-    at, scale, groups = _unknown(cameras, slices)
+    at, scale, groups = _unknown_variances(cameras, slices)
     # Parameters are differences from the point of linearisation, so that zero is the prior's mean.
     current = np.concatenate(parameters)[at]
     if of_offset is not None:
@@ -132,7 +132,7 @@ def integrate(normal: FloatArray, step: FloatArray, cameras: Sequence[Camera],
     matrix = (vectors * np.maximum(values, 0.0)) @ vectors.T
     # And its right side, so that matrix @ x = right is what data alone say of x.
     right = (aim[at] - gain.T @ aim[others]) * scale + matrix @ (current / scale)
-    means, draws, covariance = _chain(matrix, right, groups)
+    means, draws, covariance = _sample_variances(matrix, right, groups)
     middle = means.mean(axis=0)
     # And what the others are by them.
     to_all = np.zeros((len(normal), len(at)))
@@ -158,8 +158,8 @@ def integrate(normal: FloatArray, step: FloatArray, cameras: Sequence[Camera],
     return Integrated(mean, full_covariance, away, precision)
 
 
-def _unknown(cameras: Sequence[Camera], slices: Sequence[slice],
-             ) -> tuple[IntArray, FloatArray, list[_Group]]:
+def _unknown_variances(cameras: Sequence[Camera], slices: Sequence[slice],
+                       ) -> tuple[IntArray, FloatArray, list[_Group]]:
     """Return the parameters whose variances are unknown, their first guesses, and the groups."""
     at: list[int] = []
     scale: list[float] = []
@@ -188,8 +188,8 @@ def _unknown(cameras: Sequence[Camera], slices: Sequence[slice],
     return np.array(at, np.intp), np.array(scale), groups
 
 
-def _chain(matrix: FloatArray, right: FloatArray, groups: Sequence[_Group],
-           ) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _sample_variances(matrix: FloatArray, right: FloatArray, groups: Sequence[_Group],
+                      ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return means by variances (d, k), draws (d, k), and the covariance (k, k) of all.
 
     Units are the first guesses.
@@ -220,7 +220,7 @@ def _chain(matrix: FloatArray, right: FloatArray, groups: Sequence[_Group],
             total += linalg.lapack.dpotri(lower, lower=1)[0]
         # Variances by parameters, for each group by itself.
         for number, group in enumerate(groups):
-            shared[number], of_images[number], of_scale[number] = _scales(
+            shared[number], of_images[number], of_scale[number] = _draw_scales(
                 x, (matrix, right), group, of_images[number], of_scale[number], rng)
     total = np.tril(total) / _KEPT
     away = means - means.mean(axis=0)
@@ -228,9 +228,9 @@ def _chain(matrix: FloatArray, right: FloatArray, groups: Sequence[_Group],
     return means, draws, total + np.tril(total, -1).T + away.T @ away / _KEPT
 
 
-def _scales(x: FloatArray, equations: tuple[FloatArray, FloatArray], group: _Group,
-            of_images: FloatArray, of_scale: FloatArray, rng: np.random.Generator,
-            ) -> tuple[float, FloatArray, FloatArray]:
+def _draw_scales(x: FloatArray, equations: tuple[FloatArray, FloatArray], group: _Group,
+                 of_images: FloatArray, of_scale: FloatArray, rng: np.random.Generator,
+                 ) -> tuple[float, FloatArray, FloatArray]:
     """Return draws of a group's standard deviations, and scale `x` with the first.
 
     Of the group itself, of its images over that of their scale, and of its scales over that of the
@@ -249,9 +249,8 @@ def _scales(x: FloatArray, equations: tuple[FloatArray, FloatArray], group: _Gro
     grid = _SIGMA_GRID[group.min_ratio * 0.999 <= _SIGMA_GRID]
     # Half t with TAIL degrees of freedom, on a grid of logarithms.
     prior = np.log(grid) - (TAIL + 1) / 2 * np.log1p(grid**2 / TAIL)
-    common = _drawn(grid, prior - count.sum() * np.log(grid)
-                    - float((squares / (of_images * of_scale[group.scale])**2).sum()) / 2 / grid**2,
-                    rng)
+    strain = float((squares / (of_images * of_scale[group.scale])**2).sum())
+    common = _draw_from_grid(grid, prior - count.sum() * np.log(grid) - strain / 2 / grid**2, rng)
     # Scales of a group follow it as images follow their scale.
     if len(of_scale) > 1:
         of_scale = drawn(np.bincount(group.scale, squares / (common * of_images)**2).astype(float),
@@ -264,12 +263,12 @@ def _scales(x: FloatArray, equations: tuple[FloatArray, FloatArray], group: _Gro
     # The logarithm of the likelihood is linear and quadratic in the common standard deviation.
     bend = float(shape @ pulled[columns])
     slope = float(shape @ right[columns] - pulled @ x) + common * bend
-    rescaled = _drawn(grid, prior - grid**2 * bend / 2 + grid * slope, rng)
+    rescaled = _draw_from_grid(grid, prior - grid**2 * bend / 2 + grid * slope, rng)
     x[columns] = rescaled * shape
     return rescaled, of_images, of_scale
 
 
-def _drawn(grid: FloatArray, logarithm: FloatArray, rng: np.random.Generator) -> float:
+def _draw_from_grid(grid: FloatArray, logarithm: FloatArray, rng: np.random.Generator) -> float:
     """Return a draw from a grid by the logarithm of the density."""
     sums = np.cumsum(np.exp(logarithm - logarithm.max()))
     return float(grid[np.searchsorted(sums, rng.random() * sums[-1])])

@@ -104,7 +104,7 @@ def read_block(path: Path | str) -> Block:
     dem = folder / stated.dem if stated.dem else None
     if not stated.ties:
         raise TermselError("the block names no file of ties", file=path, hint=_EXAMPLE)
-    images = tuple(_image(image, folder, crs, dem, path) for image in stated.image)
+    images = tuple(_read_image(image, folder, crs, dem, path) for image in stated.image)
     files = [stated.ties] if isinstance(stated.ties, str) else list(stated.ties)
     ties, notes = read_ties([folder / file for file in files], names)
     _refuse_alone(images, ties, path)
@@ -156,7 +156,7 @@ def _key_in_words(key: str) -> str:
     return f"{in_image[2]} of {image}" if in_image[2] else image
 
 
-def _of_image(location: str) -> str:
+def _image_in_words(location: str) -> str:
     """Return which image a decoder's location lies in, such as " of image number 2"."""
     image = re.search(r"image\[(\d+)\]", location)
     return f" of image number {int(image[1]) + 1}" if image else ""
@@ -167,7 +167,7 @@ def _refuse_unknown_key(message: str, text: str, path: Path) -> None:
     unknown = re.match(r"Object contains unknown field `(.+?)`(.*)", message)
     if unknown is None:
         return
-    of_image = _of_image(unknown[2])
+    of_image = _image_in_words(unknown[2])
     keys = (_Image if of_image else _File).__struct_fields__
     near = get_close_matches(unknown[1], keys, n=1)
     guess = f"Did you mean {near[0]!r}? " if near else ""
@@ -208,7 +208,7 @@ def _check_names(names: Sequence[str], path: Path) -> None:
                            hint="Give two images or more; for one image use termsel run.")
 
 
-def _image(stated: _Image, folder: Path, crs: str, dem: Path | None, path: Path) -> BlockImage:
+def _read_image(stated: _Image, folder: Path, crs: str, dem: Path | None, path: Path) -> BlockImage:
     """Return an image with its files read."""
     raster = folder / stated.image if stated.image else None
     size = None
@@ -241,7 +241,7 @@ def _image(stated: _Image, folder: Path, crs: str, dem: Path | None, path: Path)
     features = None
     of_dem = frozenset[str]()
     if stated.points or stated.lines:
-        features = _features(stated, folder, crs, dem, path)
+        features = _control_features(stated, folder, crs, dem, path)
         of_dem = frozenset() if dem is None else _without_height(stated, folder, crs)
     return BlockImage(stated.name, features, rpc, rpc_file, raster, size=size, model=stated.model,
                       of_dem=of_dem, options=options)
@@ -278,7 +278,7 @@ def _check_model(stated: _Image, options: Mapping[str, Any], has_rpc: bool, path
 def _without_height(stated: _Image, folder: Path, crs: str) -> frozenset[str]:
     """Return the points and lines of an image whose files state no height."""
     # Read without the DEM, which would fill the heights in.
-    features = _read(stated, folder, crs, None)
+    features = _read_control(stated, folder, crs, None)
     points = features.points
     lines = features.lines
     blank = np.concatenate([np.isnan(points.ground[:, 2]),
@@ -287,7 +287,7 @@ def _without_height(stated: _Image, folder: Path, crs: str) -> frozenset[str]:
         [*points.ids, *lines.ids], blank.tolist(), strict=True) if none)
 
 
-def _read(stated: _Image, folder: Path, crs: str, dem: Path | None) -> FeatureSet:
+def _read_control(stated: _Image, folder: Path, crs: str, dem: Path | None) -> FeatureSet:
     """Return the control of an image as `termsel.read` has it."""
     try:
         return read(folder / stated.points if stated.points else None,
@@ -322,10 +322,11 @@ def _part_of(stated: _Image, folder: Path) -> dict[str, Any]:
                        hint="Give the image of the block the name that the file has for it.")
 
 
-def _features(stated: _Image, folder: Path, crs: str, dem: Path | None, path: Path) -> FeatureSet:
+def _control_features(stated: _Image, folder: Path, crs: str, dem: Path | None,
+                      path: Path) -> FeatureSet:
     """Return the control of an image, in the CRS of the block and with heights."""
     points = folder / stated.points if stated.points else None
-    features = _read(stated, folder, crs, dem)
+    features = _read_control(stated, folder, crs, dem)
     # Control of another CRS would be transformed by none of what follows.
     if normalise(features.crs) != crs:
         raise TermselError(f"the control of image {stated.name!r} is in {features.crs}, the block "
@@ -359,7 +360,7 @@ def read_ties(files: Sequence[Path], images: Sequence[str]) -> tuple[Ties, tuple
         first_at[name, index[image_name]] = file, number
         positions.append((position[0], position[1]))
     for file in files:
-        for line, row in [] if file in matches else _rows(file):
+        for line, row in [] if file in matches else _table_rows(file):
             name = row["id"]
             image = index.get(row["image"])
             if image is None:
@@ -375,8 +376,8 @@ def read_ties(files: Sequence[Path], images: Sequence[str]) -> tuple[Ties, tuple
                     line=line,
                     hint="Keep one of them, or give two ties two names.")
             first_at[name, image] = file, line
-            positions.append((_number(row["line"], file, line, "line"),
-                           _number(row["sample"], file, line, "sample")))
+            positions.append((_number_of_cell(row["line"], file, line, "line"),
+                           _number_of_cell(row["sample"], file, line, "sample")))
     # The first position out of any image, by row and by line or sample.
     for k, axis in np.argwhere(np.abs(np.array(positions).reshape(-1, 2)) > _LARGEST)[:1]:
         file, line = list(first_at.values())[k]
@@ -437,7 +438,7 @@ def _refuse_far(first_at: Mapping[tuple[str, int], tuple[Path, int]],
             hint="Correct the row, or remove it.")
 
 
-def _rows(file: Path) -> list[tuple[int, dict[str, str]]]:
+def _table_rows(file: Path) -> list[tuple[int, dict[str, str]]]:
     """Return the rows of a table of ties, each with the number of its line."""
     try:
         require_regular(file)
@@ -477,7 +478,7 @@ def _rows(file: Path) -> list[tuple[int, dict[str, str]]]:
                            hint="Give a table headed id,image,line,sample, in UTF-8.") from error
 
 
-def _number(text: str, file: Path, line: int, column: str) -> float:
+def _number_of_cell(text: str, file: Path, line: int, column: str) -> float:
     """Return a number of a table."""
     with suppress(ValueError):
         value = float(text)

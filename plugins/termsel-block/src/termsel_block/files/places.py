@@ -44,12 +44,12 @@ def write_places(folder: Path | str, target: Path | str, *, overwrite: bool = Fa
     """
     folder = Path(folder)
     target = Path(target)
-    writers = {".gpkg": _geopackage, ".las": _cloud, ".laz": _cloud}
+    writers = {".gpkg": _write_geopackage, ".las": _write_cloud, ".laz": _write_cloud}
     if target.suffix.lower() not in writers:
         raise TermselError(f"the suffix {target.suffix!r} is of no known format", file=target,
                            hint=f"Known: {', '.join(writers)}.")
     require_replaceable([target], reads=[folder / RECORD, folder / TIES], overwrite=overwrite)
-    ids, values, crs = _read(folder)
+    ids, values, crs = _read_ties(folder)
     # Written in a private folder first: the target is replaced by a whole file or not at all.
     with private_folder() as private:
         complete = private / f"places{target.suffix.lower()}"
@@ -58,7 +58,7 @@ def write_places(folder: Path | str, target: Path | str, *, overwrite: bool = Fa
     return len(ids)
 
 
-def _read(folder: Path) -> tuple[list[str], FloatArray, str]:
+def _read_ties(folder: Path) -> tuple[list[str], FloatArray, str]:
     """Return names, the other columns (n, 7) of ties.csv, and the CRS of a block."""
     for name in (RECORD, TIES):
         if not inside(folder, name).is_file():
@@ -80,10 +80,11 @@ def _read(folder: Path) -> tuple[list[str], FloatArray, str]:
     return [unguarded(row[0]) for row in rows], values, str(record.get("crs") or LOCAL)
 
 
-def _geopackage(complete: Path, target: Path, ids: list[str], values: FloatArray, crs: str) -> None:
+def _write_geopackage(complete: Path, target: Path, ids: list[str], values: FloatArray,
+                      crs: str) -> None:
     """Write a layer of points."""
-    shapely = _needed("shapely", target, "termsel[gis]")
-    write = _needed("pyogrio.raw", target, "termsel[gis]").write
+    shapely = _import_needed("shapely", target, "termsel[gis]")
+    write = _import_needed("pyogrio.raw", target, "termsel[gis]").write
     names = ["id", "sigma_east", "sigma_north", "sigma_up", "images"]
     fields = [np.array(ids, object), *values[:, 3:6].T, values[:, 6].astype(np.int32)]
     with warnings.catch_warnings():
@@ -94,14 +95,14 @@ def _geopackage(complete: Path, target: Path, ids: list[str], values: FloatArray
               dataset_options={"VERSION": "1.3"})
 
 
-def _cloud(complete: Path, target: Path, _: list[str], values: FloatArray, crs: str) -> None:
+def _write_cloud(complete: Path, target: Path, _: list[str], values: FloatArray, crs: str) -> None:
     """Write a point cloud, which has no names."""
-    laspy = _needed("laspy", target, "termsel-block[las]")
+    laspy = _import_needed("laspy", target, "termsel-block[las]")
     header = laspy.LasHeader(point_format=6, version="1.4")
     system_name = horizontal(crs)
     degrees = False
     if system_name:
-        system = _needed("pyproj", target, "termsel[gis]").CRS(system_name)
+        system = _import_needed("pyproj", target, "termsel[gis]").CRS(system_name)
         degrees = system.is_geographic
         header.add_crs(system)
     # LAS holds whole numbers of steps from an offset.
@@ -124,7 +125,7 @@ def _cloud(complete: Path, target: Path, _: list[str], values: FloatArray, crs: 
                            hint="LAZ needs lazrs: pip install lazrs. Or name a .las.") from error
 
 
-def _needed(module: str, target: Path, package: str) -> Any:
+def _import_needed(module: str, target: Path, package: str) -> Any:
     """Import what a format requires."""
     try:
         return importlib.import_module(module)

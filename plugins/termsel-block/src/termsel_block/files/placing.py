@@ -43,7 +43,7 @@ def together(folder: Path, last: str) -> Iterator[Path]:
             # The last file tells that all are there: it is moved when the others are.
             files = sorted((file for file in new.rglob("*") if file.is_file()),
                            key=lambda file: file == new / last)
-            _put(files, new, old, folder)
+            _move_into_place(files, new, old, folder)
     except OSError as error:
         raise TermselError(f"cannot write the block: {error.strerror or error}", file=folder,
                            hint="Check that the folder is writable and has free space, or choose "
@@ -55,7 +55,7 @@ def together(folder: Path, last: str) -> Iterator[Path]:
                 parent.rmdir()
 
 
-def _put(files: list[Path], new: Path, old: Path, folder: Path) -> None:
+def _move_into_place(files: list[Path], new: Path, old: Path, folder: Path) -> None:
     """Move files to where they belong, and back if one cannot be moved."""
     moves: list[tuple[Path, Path]] = []
     new_folders: list[Path] = []

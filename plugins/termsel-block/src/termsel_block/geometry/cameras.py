@@ -320,7 +320,7 @@ class PolynomialCamera(LinearCamera):
     def perspective(self, parameters: FloatArray, local: FloatArray) -> FloatArray | float:
         """Return what the perspective of the rays that parameters (2m,) state adds, (n, 2)."""
         scaled = (local - self.centre) / self.half
-        forms = self._forms(by_axis(parameters)[self._slopes])
+        forms = self._quadratic_forms(by_axis(parameters)[self._slopes])
         # The quadratic form p^T F p of each place p, for line and sample.
         return np.asarray(np.einsum("ni,aij,nj->na", scaled, forms, scaled))
 
@@ -338,7 +338,7 @@ class PolynomialCamera(LinearCamera):
             behind = of_slopes.copy()
             ahead[k, axis] += step
             behind[k, axis] -= step
-            slope = (self._forms(ahead) - self._forms(behind)) / (2 * step)
+            slope = (self._quadratic_forms(ahead) - self._quadratic_forms(behind)) / (2 * step)
             derivatives[:, :, axis * m + at] += np.einsum("ni,aij,nj->na", scaled, slope, scaled)
         return derivatives
 
@@ -347,7 +347,7 @@ class PolynomialCamera(LinearCamera):
         """The columns x, y and z."""
         return [self.powers.index(axis) for axis in _AXES]
 
-    def _forms(self, slopes: FloatArray) -> FloatArray:
+    def _quadratic_forms(self, slopes: FloatArray) -> FloatArray:
         """Return what line and sample add, quadratic in places (2, 3, 3), by their slopes (3, 2).
         """
         line, sample = slopes.T

@@ -173,21 +173,21 @@ class Heights:
     def of_offset(self) -> tuple[float, float]:
         """Return what the prior and control add to the offset's normal equation."""
         # Normal equation (p + n w) o = w sum(h) of the offset o, less its value now.
-        prior = self._of_prior()
-        weight = self._of_control()
+        prior = self._weight_of_prior()
+        weight = self._weight_of_control()
         return (prior + weight * len(self.control),
                 weight * float((self.control - self.offset).sum()) - prior * self.offset)
 
-    def _of_prior(self) -> float:
+    def _weight_of_prior(self) -> float:
         """Return the weight of no offset: a DEM that is hundreds of metres off is not of the kind.
         """
         return (self.spread / 2 if self.surface is None else max(OFF, self.far, self.doubt)) ** -2
 
     def guessed(self) -> float | None:
         """Return that weight if it is a guess: few DEMs are far off, and those are far off."""
-        return None if self.surface is None else self._of_prior()
+        return None if self.surface is None else self._weight_of_prior()
 
-    def _of_control(self) -> float:
+    def _weight_of_control(self) -> float:
         """Return the weight of a height of control."""
         return self.sigma**-2 / max(len(self.control) / self._many, 1.0)
 
@@ -196,8 +196,8 @@ class Heights:
         away, joint = self._away(ties)
         weight = self.sigma**-2 / max(self.crowd / self._many, 1.0)
         return float(weight * (away[joint] ** 2).sum() + (away[~joint] ** 2).sum() / self.spread**2
-                     + self._of_prior() * self.offset**2
-                     + self._of_control() * ((self.control - self.offset) ** 2).sum())
+                     + self._weight_of_prior() * self.offset**2
+                     + self._weight_of_control() * ((self.control - self.offset) ** 2).sum())
 
     def estimate(self, ties: FloatArray, covariance: FloatArray, is_seen: BoolArray) -> None:
         """Estimate the roughness by the ties (t, 3) that are seen, and by control.

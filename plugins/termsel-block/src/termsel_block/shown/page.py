@@ -51,8 +51,8 @@ def page_of(result: BlockResult, record: BlockRecord) -> str:
     ground = Figure(
         "map", "Footprints, ties and control",
         "Each dot is a tie; its colour is the standard deviation of its height"
-        f"{_some(result)}. Triangles are control. Outlines are drawn around the ties of each "
-        "image.", _map(result), keeps_ratio=True)
+        f"{_how_many_shown(result)}. Triangles are control. Outlines are drawn around the ties of "
+        "each image.", _map(result), keeps_ratio=True)
     by_image = Figure(
         "images", "Residuals and uncertainty by image",
         "The RMSE of the ties in each image, and the predicted RMSE of the table of images. The "
@@ -66,7 +66,7 @@ def page_of(result: BlockResult, record: BlockRecord) -> str:
         "Predicted is the RMSE of points measured like the control, at the positions of the "
         "independent check points (ICPs), or of the ties if there are none.", _images(record))
     sections = (Section("Images", images), Section("Residuals", (by_image, by_tie)),
-                Section("Rejected outliers", tuple(_rejected(record))))
+                Section("Rejected outliers", tuple(_rejected_table(record))))
     return page(Document(
         f"Block of {len(record.images)} images", read_in(record), (*facts(record), ground),
         tuple(section for section in sections if section.blocks)))
@@ -90,18 +90,18 @@ def _first(record: BlockRecord) -> str:
     return f"; {_IMAGES} of {len(record.images)} are shown" if has_more else ""
 
 
-def _some(result: BlockResult) -> str:
+def _how_many_shown(result: BlockResult) -> str:
     """Return how many ties of all are shown, as part of a sentence; empty if all are."""
-    count = len(_placed(result))
+    count = len(_placed_ties(result))
     return f"; {_DRAWN_TIES:,} of {count:,} are shown" if count > _DRAWN_TIES else ""
 
 
-def _placed(result: BlockResult) -> IntArray:
+def _placed_ties(result: BlockResult) -> IntArray:
     """Return the ties that have a place, which two images or more see."""
     return np.flatnonzero(times_seen(result) > 1)
 
 
-def _rejected(record: BlockRecord) -> Iterator[TableBlock | str]:
+def _rejected_table(record: BlockRecord) -> Iterator[TableBlock | str]:
     """Yield a table of rejected observations: control, then ties, of each the worst first."""
     rejected: list[tuple[str, WrongTie | WrongControl]] = [
         ("control", wrong) for wrong in record.wrong_control]
@@ -123,7 +123,7 @@ def _map(result: BlockResult) -> Any:
 
     ties = result.block.ties
     state = result.adjusted.state
-    placed = _placed(result)
+    placed = _placed_ties(result)
     # Evenly over the list, as many as a browser draws in good time.
     drawn = placed[np.linspace(0, len(placed) - 1, min(_DRAWN_TIES, len(placed))).astype(int)]
     dots = [{"east": float(e), "north": float(n), "sigma": float(s)} for e, n, s in zip(

@@ -94,24 +94,24 @@ def interior_of(features: FeatureSet) -> Interior | None:
     TermselError
         If what they say cannot be understood, or does not suffice for a focal length in px.
     """
-    stated = {name: value for name in NAMES if (value := _stated(features, name))}
+    stated = {name: value for name in NAMES if (value := _stated_value(features, name))}
     if "camera" not in stated and "camera_focal" not in stated:
         return None
     size = features.image_size
     named = camera_named(stated["camera"]) if "camera" in stated else None
     if isinstance(named, SurveyCamera):
-        interior = _of_type(named, stated, size)
+        interior = _camera_of_type(named, stated, size)
     elif named is not None:
-        interior = _of_file(named, stated["camera"])
+        interior = _camera_of_file(named, stated["camera"])
     else:
-        interior = _of_focal(stated, None, size)
+        interior = _focal_length(stated, None, size)
     interior = _with_middle(interior, stated, size)
     if "camera_distortion" in stated:
         interior = replace(interior, distortion=_numbers(stated, "camera_distortion", range(1, 6)))
     return _with_place(interior, stated)
 
 
-def _stated(features: FeatureSet, name: str) -> str:
+def _stated_value(features: FeatureSet, name: str) -> str:
     """Return the one value that a column has, or ""."""
     values = {str(value).strip() for value in features.points.attributes.get(name, ())} - {""}
     if len(values) > 1:
@@ -120,8 +120,8 @@ def _stated(features: FeatureSet, name: str) -> str:
     return values.pop() if values else ""
 
 
-def _of_focal(stated: Mapping[str, str], named: SurveyCamera | None,
-              size: tuple[int, int] | None) -> Interior:
+def _focal_length(stated: Mapping[str, str], named: SurveyCamera | None,
+                  size: tuple[int, int] | None) -> Interior:
     """Return the focal length that is stated in px, or in mm with the size of a pixel."""
     text = stated["camera_focal"].lower().replace(" ", "")
     if not text.endswith("mm"):
@@ -134,11 +134,11 @@ def _of_focal(stated: Mapping[str, str], named: SurveyCamera | None,
                     source=f"the focal length of {mm:g} mm")
 
 
-def _of_type(named: SurveyCamera, stated: Mapping[str, str],
-             size: tuple[int, int] | None) -> Interior:
+def _camera_of_type(named: SurveyCamera, stated: Mapping[str, str],
+                    size: tuple[int, int] | None) -> Interior:
     """Return what is known of a camera of a type."""
     if "camera_focal" in stated:
-        interior = _of_focal(stated, named, size)
+        interior = _focal_length(stated, named, size)
     else:
         pixel, spread = _pixel(stated, named, size)
         interior = Interior(named.focal / pixel, float(np.hypot(spread, named.spread)))
@@ -158,12 +158,12 @@ def interior_of_file(path: str) -> Interior:
     if isinstance(content, SurveyCamera):
         raise TermselError(f"the camera {path!r} is a type, whose focal length in px is not known",
                            hint="State focal in px, or a camera file NAME.json.")
-    return _of_file(content, path)
+    return _camera_of_file(content, path)
 
 
-def _of_file(content: Mapping[str, Any], path: str) -> Interior:
+def _camera_of_file(content: Mapping[str, Any], path: str) -> Interior:
     """Return what a camera file says."""
-    values = {name: _listed(content.get(name)) for name in (
+    values = {name: _numbers_as_text(content.get(name)) for name in (
         "focal", "focal_spread", "principal_point", "distortion")}
     (focal,) = _numbers({f"focal of {path}": values["focal"]}, f"focal of {path}", (1,))
     interior = Interior(_positive(focal, f"focal of {path}"), source=f"the camera file {path}")
@@ -178,7 +178,7 @@ def _of_file(content: Mapping[str, Any], path: str) -> Interior:
     return interior
 
 
-def _listed(value: Any) -> str:
+def _numbers_as_text(value: Any) -> str:
     """Return a number or a list of them as the text that options have."""
     if value is None:
         return ""

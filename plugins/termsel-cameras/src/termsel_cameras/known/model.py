@@ -16,9 +16,18 @@ from termsel import (
     Undetermined,
     image_equations,
 )
-from termsel.toolkit import SensorFigure, camera_figures, exterior_orientation
 from termsel.toolkit.coordinates import LOCAL, is_geographic, to_ecef
-from termsel.toolkit.models import Cameras, Measured, Pinhole, camera_of, cameras_of, rotations
+from termsel.toolkit.models import (
+    Cameras,
+    Measured,
+    Pinhole,
+    SensorFigure,
+    camera_figures,
+    camera_of,
+    cameras_of,
+    exterior_orientation,
+    rotations,
+)
 from termsel_cameras.known.interior import STATED_REACH, Interior, interior_of_file
 from termsel_cameras.known.lens import FloatArray, Lens
 from termsel_cameras.known.turns import vector_of
@@ -249,10 +258,10 @@ class KnownFrame(SensorModel):
             raise Undetermined("no camera of this focal length has all control points in front",
                                hint="Check the focal length and the heights.")
         if len(features.points) == 3:
-            return self._of_three(measured, camera)
+            return self._camera_of_three_points(measured, camera)
         return camera
 
-    def _of_three(self, measured: Measured, camera: Pinhole) -> Pinhole:
+    def _camera_of_three_points(self, measured: Measured, camera: Pinhole) -> Pinhole:
         """Return the camera of three points, which up to four cameras see alike (Grunert 1841)."""
         cameras = cameras_of(measured)
         rows = np.ones((len(cameras), 3))

@@ -157,7 +157,7 @@ def _read(path: Path, _changed: int) -> Annotation:
     """Return the annotation of a file that was changed at that time."""
     root = _root(path)
     try:
-        return _from_xml(root, path.name)
+        return _annotation_from_xml(root, path.name)
     except TermselError as error:
         raise TermselError(f"{path}: {error.what}", hint=_HINT) from error
 
@@ -198,7 +198,7 @@ def lattice_of(path: Path) -> tuple[LatticePoint, ...]:
         raise TermselError(f"{path}: {error.what}", hint=_HINT) from error
 
 
-def _from_xml(root: ElementTree.Element, name: str) -> Annotation:
+def _annotation_from_xml(root: ElementTree.Element, name: str) -> Annotation:
     """Return the annotation of a Sentinel-1 product."""
     mission = (root.findtext("adsHeader/missionId") or "").strip()
     if root.tag != "product" or not mission.startswith("S1"):
@@ -225,8 +225,8 @@ def _from_xml(root: ElementTree.Element, name: str) -> Annotation:
         sample_spacing=number_of(root, f"{image}/rangePixelSpacing"),
         first_range_time=number_of(root, f"{image}/slantRangeTime"),
         sampling_rate=number_of(root, "generalAnnotation/productInformation/rangeSamplingRate"),
-        times=_nested(times), positions=_nested(states[:, :3]),
-        velocities=_nested(states[:, 3:]), ground_ranges=ground_ranges,
+        times=_nested_tuples(times), positions=_nested_tuples(states[:, :3]),
+        velocities=_nested_tuples(states[:, 3:]), ground_ranges=ground_ranges,
         bursts=bursts, lines_per_burst=lines_per_burst, area=_area(root),
         middle_range_time=_middle_range_time(root, start, interval, bursts))
 
@@ -312,7 +312,7 @@ def _bursts(root: ElementTree.Element, start: float, lines: int) -> tuple[Burst,
                  for number, burst in enumerate(root.findall("swathTiming/burstList/burst")))
 
 
-def _nested(values: FloatArray) -> Any:
+def _nested_tuples(values: FloatArray) -> Any:
     """Return an array as tuples of numbers."""
 
     def frozen(value: float | Sequence[Any]) -> Any:

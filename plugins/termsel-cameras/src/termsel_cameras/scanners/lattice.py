@@ -61,7 +61,7 @@ class SentinelLattice(Reader):
         images = images_of(path)
         if not images and is_image(path, _head(path)):
             log.warning(WITHOUT, path.name)
-            return self._of_tags(path)
+            return self._points_of_tags(path)
         swath = self.options["swath"] or ""
         polarisation = self.options["polarisation"] or ""
         file = annotation_file(path, swath, polarisation)
@@ -71,13 +71,13 @@ class SentinelLattice(Reader):
         columns = {"bistatic": "true"} if self.options["bistatic"] else {}
         if self.options["burst"] is not None:
             columns["burst"] = str(self.options["burst"])
-            return _of_burst(annotation, file, columns)
+            return _lattice_of_burst(annotation, file, columns)
         points = lattice_of(file)
         image = np.array([[point.line, point.sample] for point in points])
         ground = np.array([[point.longitude, point.latitude, point.height] for point in points])
         return _features(annotation, image, ground, str(file), columns)
 
-    def _of_tags(self, path: Path) -> FeatureSet:
+    def _points_of_tags(self, path: Path) -> FeatureSet:
         """Return the points in the tags of an image, counted from the centre of the first pixel."""
         with open_raster(path) as raster:
             gcps = raster.gcps[0]
@@ -120,7 +120,7 @@ def _features(annotation: Annotation, image: FloatArray, ground: FloatArray, sen
                       crs="EPSG:4979", image_size=annotation.size)
 
 
-def _of_burst(annotation: Annotation, file: Path, options: Mapping[str, str]) -> FeatureSet:
+def _lattice_of_burst(annotation: Annotation, file: Path, options: Mapping[str, str]) -> FeatureSet:
     """Return a lattice over one burst, computed by its radar at the heights of the product's.
 
     The product's own has a line for each burst, on which bursts overlap.

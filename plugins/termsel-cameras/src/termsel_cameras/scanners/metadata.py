@@ -90,12 +90,12 @@ def _read(path: Path, _changed: int) -> Metadata:
     except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise TermselError(f"{path} cannot be read as XML: {error}", hint=_HINT) from error
     try:
-        return _from_dimap(root, path.name)
+        return _metadata_of_dimap(root, path.name)
     except TermselError as error:
         raise TermselError(f"{path}: {error.what}", hint=_HINT) from error
 
 
-def _from_dimap(root: ElementTree.Element, name: str) -> Metadata:
+def _metadata_of_dimap(root: ElementTree.Element, name: str) -> Metadata:
     """Return the metadata of a SPOT scene of level 1A."""
     strip = root.find("Data_Strip")
     if root.tag != "Dimap_Document" or strip is None:
@@ -129,9 +129,12 @@ def _from_dimap(root: ElementTree.Element, name: str) -> Metadata:
     return Metadata(
         name, (lines, samples), line, period,
         (strip.findtext(".//STAR_TRACKER_USED") or "").strip().upper() == "Y",
-        _listed(times[near]), _listed(states[near, :3]), _listed(states[near, 3:]),
-        _listed(moments[close]), _listed(angles[close]), _listed(looks[keep, 0] - 1.0),
-        _listed(looks[keep, 1:]))
+        _numbers_of_text(times[near]), _numbers_of_text(states[near,
+                                                               :3]), _numbers_of_text(states[near,
+                                                                                             3:]),
+        _numbers_of_text(moments[close]), _numbers_of_text(angles[close]),
+        _numbers_of_text(looks[keep, 0] - 1.0),
+        _numbers_of_text(looks[keep, 1:]))
 
 
 def _about(times: FloatArray, ends: FloatArray) -> slice:
@@ -175,6 +178,6 @@ def _frozen(value: Any) -> Any:
     return tuple(map(_frozen, value)) if isinstance(value, list) else value
 
 
-def _listed(values: Iterable[Any]) -> Any:
+def _numbers_of_text(values: Iterable[Any]) -> Any:
     return _frozen(np.asarray(values).tolist())
 

@@ -16,9 +16,14 @@ from termsel import (
     SensorModel,
     Undetermined,
 )
-from termsel.toolkit import SensorFigure, camera_figures, exterior_orientation
 from termsel.toolkit.coordinates import is_geographic
-from termsel.toolkit.models import pinhole_of, view_of
+from termsel.toolkit.models import (
+    SensorFigure,
+    camera_figures,
+    exterior_orientation,
+    pinhole_of,
+    view_of,
+)
 from termsel_cameras.scanners.candidate import sensor_of
 from termsel_cameras.scanners.orbit import axes_at, geocentric
 from termsel_cameras.scanners.physical import FloatArray, Physical, RobustFit, known

@@ -153,7 +153,7 @@ class Physical(SensorModel):
         except (AttributeError, TypeError, pickle.PicklingError):
             # The class is defined in a function, or an option is no plain value.
             return _best(self, features.points)
-        return _solved(pickled)
+        return _cached_best_fit(pickled)
 
     def cost(self, features: FeatureSet, values: FloatArray) -> tuple[float, FloatArray]:
         """Return Huber's loss of scaled points and priors, and residuals (n, 2), by the noise."""
@@ -366,7 +366,7 @@ def as_stated(ready: Physical, control: FitData) -> FloatArray | None:
 
 
 @lru_cache(maxsize=8)
-def _solved(pickled: bytes) -> Solution:
+def _cached_best_fit(pickled: bytes) -> Solution:
     """Return the best fit of a model to scaled points, both as bytes."""
     return _best(*pickle.loads(pickled))
 

@@ -60,7 +60,7 @@ def images_of(path: Path) -> tuple[Image, ...]:
     """
     try:
         if path.is_dir():
-            return _sorted(_in_folder(path))
+            return _sorted_names(_annotations_in_folder(path))
         if not path.is_file():
             return ()
         with path.open("rb") as file:
@@ -68,9 +68,9 @@ def images_of(path: Path) -> tuple[Image, ...]:
     except OSError:
         return ()
     if head in _ZIP:
-        return _sorted(_in_zip(path))
+        return _sorted_names(_annotations_in_zip(path))
     if path.name.lower() == "manifest.safe":
-        return _sorted(_in_folder(path.parent))
+        return _sorted_names(_annotations_in_folder(path.parent))
     if head in _TIFF:
         return tuple(_image(place) for place in _next_to(path))
     return ()
@@ -143,7 +143,7 @@ def changed(path: Path) -> int:
     return (path if path.is_file() else archive_of(path) or path).stat().st_mtime_ns
 
 
-def _in_folder(folder: Path) -> list[Path]:
+def _annotations_in_folder(folder: Path) -> list[Path]:
     """Return the annotations of a product's folder, or of the one in a folder around it."""
     inner = folder / "annotation"
     if not inner.is_dir():
@@ -157,7 +157,7 @@ def _in_folder(folder: Path) -> list[Path]:
     return [entry for entry in inner.iterdir() if _is_annotation(entry.name) and entry.is_file()]
 
 
-def _in_zip(path: Path) -> list[Path]:
+def _annotations_in_zip(path: Path) -> list[Path]:
     """Return the annotations in the zip of a product."""
     try:
         with zipfile.ZipFile(path) as packed:
@@ -190,5 +190,5 @@ def _image(annotation: Path) -> Image:
                  found["polarisation"].upper() if found else "")
 
 
-def _sorted(annotations: list[Path]) -> tuple[Image, ...]:
+def _sorted_names(annotations: list[Path]) -> tuple[Image, ...]:
     return tuple(_image(place) for place in sorted(annotations, key=os.fspath))

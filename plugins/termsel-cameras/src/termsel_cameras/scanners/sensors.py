@@ -111,10 +111,10 @@ def sensor_named(name: str) -> Sensor:
     except (OSError, UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
         raise TermselError(f"{path} cannot be read as JSON: {error}",
                            hint="Give a file with the fields of a sensor.") from error
-    return _checked(content, path)
+    return _check_sensor(content, path)
 
 
-def _checked(content: object, path: Path) -> Sensor:
+def _check_sensor(content: object, path: Path) -> Sensor:
     """Return the sensor that a file describes."""
     known = {field.name: field.default for field in fields(Sensor)}
     hint = f"Fields are {', '.join(known)}; those after source may be left out."

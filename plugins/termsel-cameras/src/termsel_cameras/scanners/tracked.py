@@ -103,7 +103,7 @@ class TrackedScanner(Physical):
             attitude = [np.interp(time, metadata.moments, angles) + offset + time * drift
                         for angles, offset, drift in zip(
                             np.array(metadata.angles).T, bias, rate, strict=True)]
-            turned = _turned(away, attitude)
+            turned = _turn_into_camera(away, attitude)
             # The look is (-tan PSI_Y, tan PSI_X, -1): to starboard, ahead and up.
             slope = turned[..., 0] / turned[..., 2] / wide
             ahead_of_camera = -turned[..., 1] / turned[..., 2]
@@ -145,7 +145,7 @@ def _state(metadata: Metadata, time: FloatArray) -> tuple[FloatArray, FloatArray
     return station, np.stack([right, np.cross(up, right), up], axis=-1)
 
 
-def _turned(away: FloatArray, angles: list[FloatArray]) -> FloatArray:
+def _turn_into_camera(away: FloatArray, angles: list[FloatArray]) -> FloatArray:
     """Return vectors (..., 3) of orbital axes in those of the camera.
 
     The handbook turns looks by pitch after roll after yaw; this is the inverse.

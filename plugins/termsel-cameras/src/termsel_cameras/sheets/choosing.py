@@ -55,7 +55,7 @@ def tried_projections(sheets: Sequence[FeatureSet],
     ranked = []
     for candidate in candidates:
         # The mean of log rmse, weighted by points: the log of the product above, by its power.
-        logs = [np.log(_predicted(sheet, candidate.crs)) for sheet in used_sheets]
+        logs = [np.log(_predicted_rmse(sheet, candidate.crs)) for sheet in used_sheets]
         rmse = float(np.exp(np.average(logs, weights=counts)))
         ranked.append(Tried(candidate.name, candidate.crs, rmse))
     return sorted(ranked, key=lambda projection: projection.rmse)
@@ -74,7 +74,7 @@ def chosen_of(ranked: Sequence[Tried], candidates: Sequence[Projection],
                 if candidate.crs in nearly_best)
 
 
-def _predicted(features: FeatureSet, crs: str) -> float:
+def _predicted_rmse(features: FeatureSet, crs: str) -> float:
     """Return the RMSE of held-out points [px] in a projection; infinite where there is none."""
     try:
         choice = Auto().choose(FitData.of(replace(features, fit_crs=crs)))

@@ -192,15 +192,15 @@ def paper_of(sheets: Sequence[Sheet]) -> Paper:
     # Turns are counted from that of the first sheet, lest 359 and 1 degrees have the mean 180.
     first_turn = values[0, TURN]
     values[:, TURN] = [wrapped(turn - first_turn) for turn in values[:, TURN]]
-    expected = np.array([_of_another(*column) for column in zip(
+    expected = np.array([_value_of_other_sheet(*column) for column in zip(
         values.T, variances.T, USUAL_SPREADS, strict=True)])
     expected[TURN, 0] = wrapped(expected[TURN, 0] + first_turn)
     return Paper(tuple(expected[:, 0].tolist()), tuple(expected[:, 1].tolist()), noise, freedom,
                  len(sheets))
 
 
-def _of_another(values: FloatArray, variances: FloatArray,
-                usual_spread: float) -> tuple[float, float]:
+def _value_of_other_sheet(values: FloatArray, variances: FloatArray,
+                          usual_spread: float) -> tuple[float, float]:
     """Return the mean and the standard deviation of the value of another sheet.
 
     The spread among sheets is averaged over: its prior is half a Cauchy distribution.

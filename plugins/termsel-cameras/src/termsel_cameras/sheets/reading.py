@@ -56,7 +56,7 @@ class SheetOptions:
         if "prime_meridian" in values:
             features = from_greenwich(features, meridian_of(values["prime_meridian"]))
         if "series" in values:
-            return _of_series(features, values)
+            return _sheet_of_series(features, values)
         if values.keys() & {"projection_candidates", "map_century"} \
                 and values.get("projection") != AUTO:
             raise TermselError("candidates and century are for a projection that is chosen",
@@ -72,11 +72,11 @@ class SheetOptions:
         ranked = tried_projections([features], candidates)
         best = chosen_of(ranked, candidates)
         log.warning("Note: of %d projections %s Coordinates stay in %s.", len(ranked),
-                    _in_words(ranked, best), features.crs)
+                    _projection_in_words(ranked, best), features.crs)
         return replace(features, fit_crs=normalise(best.crs))
 
 
-def _in_words(ranked: Sequence[Tried], taken: Tried) -> str:
+def _projection_in_words(ranked: Sequence[Tried], taken: Tried) -> str:
     """Return which projection is taken, next to which ones."""
     from termsel_cameras.sheets.choosing import NEARLY
 
@@ -93,7 +93,7 @@ def _in_words(ranked: Sequence[Tried], taken: Tried) -> str:
             "list.")
 
 
-def _of_series(features: FeatureSet, values: Mapping[str, Any]) -> FeatureSet:
+def _sheet_of_series(features: FeatureSet, values: Mapping[str, Any]) -> FeatureSet:
     """Return a sheet with what its series tells."""
     from termsel_cameras.sheets.series_file import in_series, read_series  # it fits models
 

@@ -107,10 +107,10 @@ def compared(path: Path | str, result: Result | None = None, *, final: bool | No
                 f"this raster has {size[0]} lines and {size[1]} samples, and the image of the "
                 f"result {size_of_result[0]} and {size_of_result[1]}", file=Path(path),
                 hint="Give the image or an export of it; a map has different pixels.")
-        return tuple(_of(answer, result, size) for answer in answers.taken), answers
+        return tuple(_deviation_of(answer, result, size) for answer in answers.taken), answers
 
 
-def _of(answer: Taken, result: Result, size: tuple[int, int]) -> Deviation:
+def _deviation_of(answer: Taken, result: Result, size: tuple[int, int]) -> Deviation:
     """Return the deviation of what a program takes."""
     deviation = Deviation(answer.program, answer.transformation, answer.crs, answer.by_default)
     if answer.places is None:

@@ -24,13 +24,13 @@ def taken(path: Path) -> Iterator[Taken]:
         rpcs = raster.rpcs
         if not raster.transform.is_identity:
             yield Taken(program, "affine transformation", _wkt(raster.crs),
-                        _by(AffineTransformer, raster.transform))
+                        _transform_by_rasterio(AffineTransformer, raster.transform))
         elif gcps:
             yield Taken(program, "polynomial through GCPs (GCPTransformer)", _wkt(crs),
-                        _by(GCPTransformer, gcps))
+                        _transform_by_rasterio(GCPTransformer, gcps))
         elif rpcs:
             yield Taken(program, "RPC at the height 0 (RPCTransformer)", WGS84,
-                        _by(RPCTransformer, rpcs))
+                        _transform_by_rasterio(RPCTransformer, rpcs))
         else:
             yield Taken(program, "none: no georeferencing")
 
@@ -46,7 +46,7 @@ def _wkt(crs: object) -> str:
     return crs.to_wkt() if crs else ""  # type: ignore[attr-defined]
 
 
-def _by(transformer: type, argument: object) -> Places:
+def _transform_by_rasterio(transformer: type, argument: object) -> Places:
     """Return what a transformer of rasterio computes at the height 0."""
     def places(image: FloatArray, _heights: FloatArray) -> FloatArray:
         with transformer(argument) as opened:

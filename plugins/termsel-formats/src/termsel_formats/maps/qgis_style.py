@@ -47,7 +47,7 @@ def styles() -> dict[str, Any]:
 
 def _markers() -> str:
     """Return QML with a marker for each role."""
-    return _by_role("marker", 0, {
+    return _style_by_role("marker", 0, {
         role: _layer("SimpleMarker", name=_SHAPES[ROLE_SHAPES[role]], color=_rgb(colour),
                      outline_color=_rgb(GROUND), outline_width="0.2", outline_width_unit="MM",
                      size="2.2", size_unit="MM") for role, colour in _COLOURS.items()})
@@ -63,10 +63,10 @@ def _arrows() -> str:
             is_curved="0", is_repeated="1", arrow_width="0.4", arrow_width_unit="MM",
             arrow_start_width="0.4", arrow_start_width_unit="MM", head_length="2",
             head_length_unit="MM", head_thickness="0.8", head_thickness_unit="MM")
-    return _by_role("line", 1, arrows)
+    return _style_by_role("line", 1, arrows)
 
 
-def _by_role(kind: str, geometry: int, layers: dict[str, str]) -> str:
+def _style_by_role(kind: str, geometry: int, layers: dict[str, str]) -> str:
     """Return a style of QGIS with a symbol for each role."""
     categories = "".join(
         f'<category value="{role}" label="{_LABELS.get(role, role)}" symbol="{i}" render="true"/>'

@@ -46,7 +46,7 @@ class PamGcps(Reader):
         """Return the points; errors name the file and the point."""
         root = xml_root(path, _HINT)
         try:
-            ids, rows, crs = _of_gdal(root) or _of_arcgis(root) or ([], [], "")
+            ids, rows, crs = _gcps_of_gdal(root) or _gcps_of_arcgis(root) or ([], [], "")
         except (KeyError, ValueError) as error:
             raise TermselError(f"a ground control point cannot be read: {what_lacks(error)}",
                                file=path, hint=_HINT) from error
@@ -60,7 +60,7 @@ class PamGcps(Reader):
 _Found = tuple[list[str], list[list[float]], str]
 
 
-def _of_gdal(root: ElementTree.Element) -> _Found | None:
+def _gcps_of_gdal(root: ElementTree.Element) -> _Found | None:
     """Return ids, numbers and CRS of the list of GCPs that GDAL writes."""
     gcp_list = root.find("GCPList")
     if gcp_list is None:
@@ -73,7 +73,7 @@ def _of_gdal(root: ElementTree.Element) -> _Found | None:
     return [gcp.get("Id", "") for gcp in gcps], rows, gcp_list.get("Projection", "")
 
 
-def _of_arcgis(root: ElementTree.Element) -> _Found | None:
+def _gcps_of_arcgis(root: ElementTree.Element) -> _Found | None:
     """Return numbers and CRS of the control points of ArcGIS, which have no ids and heights."""
     transformation = root.find(".//GeodataXform")
     if transformation is None:

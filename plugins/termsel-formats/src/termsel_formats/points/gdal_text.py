@@ -74,7 +74,7 @@ class GdalOptions(Reader):
             table.append((line - CORNER, sample - CORNER, x, y,
                           height[0] if height else np.nan))
         # Where a command does not state it, another command on the same points may.
-        stated = _stated_crs(command) or _stated_crs(_joined(path))
+        stated = _stated_crs(command) or _stated_crs(_join_commands(path))
         return FeatureSet(points_of(path, [""] * len(table), table),
                           crs=stated[0] if len(stated) == 1 else "")
 
@@ -92,7 +92,7 @@ def _stated_crs(text: str) -> list[str]:
     return list(dict.fromkeys(filter(None, stated)))
 
 
-def _joined(path: Path) -> str:
+def _join_commands(path: Path) -> str:
     """Return the text of a script with each command on one line, and GCPs as -gcp has them."""
     text = read_text(path)
     # Allmaps writes the numbers alone, which --format gdal-options tells.
@@ -109,7 +109,7 @@ def _commands(path: Path) -> dict[str, str]:
     A script has a command a line, but for lines that end with a backslash or, on Windows, with ^;
     an option file has no command, and an option a line.
     """
-    command_lines = [line for line in _joined(path).splitlines() if not re.match(
+    command_lines = [line for line in _join_commands(path).splitlines() if not re.match(
         r"\s*(#|::|rem\b|//)", line, re.IGNORECASE)]
     if not any(re.search(r"\bgdal", line) for line in command_lines):
         command_lines = [" ".join(command_lines)]
@@ -147,8 +147,8 @@ class GdalinfoText(Reader):
     def read(self, path: Path) -> FeatureSet:
         """Return the points; errors name the file."""
         text = read_text(path)
-        ids, rows, crs, size = _of_json(path, text) if text.lstrip().startswith("{") \
-            else _of_text(text)
+        ids, rows, crs, size = _gcps_of_json(path, text) if text.lstrip().startswith("{") \
+            else _gcps_of_text(text)
         if not rows:
             raise TermselError("gdalinfo shows no ground control points here", file=path,
                                hint="Give what it prints of an image that has some.")
@@ -160,7 +160,7 @@ class GdalinfoText(Reader):
 _Printed = tuple[list[str], list[list[float]], str, tuple[int, int] | None]
 
 
-def _of_text(text: str) -> _Printed:
+def _gcps_of_text(text: str) -> _Printed:
     """Return ids, numbers, CRS and image size of what gdalinfo prints."""
     gcps = _PRINTED.findall(text)
     size = _SIZE.search(text)
@@ -172,7 +172,7 @@ def _of_text(text: str) -> _Printed:
             (int(size[2]), int(size[1])) if size else None)
 
 
-def _of_json(path: Path, text: str) -> _Printed:
+def _gcps_of_json(path: Path, text: str) -> _Printed:
     """Return ids, numbers, CRS and image size of what gdalinfo -json prints."""
     hint = "Write it again with gdalinfo -json."
     try:

@@ -122,7 +122,7 @@ class GeolocationArray(Reader):
         domain = raster.tags(ns="GEOLOCATION")
         # An option goes before what metadata say.
         if domain and self.options["latitude"] is None:
-            return _of_domain(path, raster, domain, stack)
+            return _arrays_of_domain(path, raster, domain, stack)
         numbers = _named_bands(raster)
         if self.options["latitude"] is not None:
             rasters = [raster, *(stack.enter_context(open_raster(Path(self.options[name])))
@@ -165,7 +165,7 @@ def _named_bands(raster: Any) -> list[int] | None:
     return None if None in numbers[:2] else [number for number in numbers if number is not None]
 
 
-def _of_domain(path: Path, raster: Any, domain: dict[str, str], stack: ExitStack) -> Arrays:
+def _arrays_of_domain(path: Path, raster: Any, domain: dict[str, str], stack: ExitStack) -> Arrays:
     """Return the arrays that the metadata of an image name, by GDAL's RFC 4."""
     bands = []
     for axis in "XYZ":

@@ -139,12 +139,14 @@ def _row(number: int, row: float, column: float, x: float, y: float,
     """Return the line of a point."""
     beginning = f"Point{number:02d},xy,{column!r},{row!r},in"
     if zone is None:
-        return f"{beginning},deg,{_parted(y, 'NS')},{_parted(x, 'EW')},grid,,,,N"
+        latitude = _degrees_and_side(y, "NS")
+        longitude = _degrees_and_side(x, "EW")
+        return f"{beginning},deg,{latitude},{longitude},grid,,,,N"
     hemisphere = "S" if zone[1] else "N"
     return f"{beginning},deg,,,{hemisphere},,,E,grid,{zone[0]},{x!r},{y!r},{hemisphere}"
 
 
-def _parted(angle: float, hemispheres: str) -> str:
+def _degrees_and_side(angle: float, hemispheres: str) -> str:
     """Return degrees, minutes and side."""
     degrees = int(abs(angle))
     return f"{degrees},{(abs(angle) - degrees) * 60!r},{hemispheres[angle < 0]}"

@@ -155,12 +155,12 @@ class PciGcpWriter(PointsWriter):
                 points.ids, points.image.tolist(), points.ground.tolist(), points.roles,
                 strict=True):
             numbers = (sample + CORNER, line + CORNER, *position[:3 if heights else 2])
-            rows.append(" ".join([_quoted(name), *map(repr, numbers), status.get(role, "G")]))
+            rows.append(" ".join([_quote(name), *map(repr, numbers), status.get(role, "G")]))
         write_text(path, "\n".join([*rows, ""]))
         say_points(self.name)
 
 
-def _quoted(name: str) -> str:
+def _quote(name: str) -> str:
     name = guarded(name.replace('"', "'"))
     return f'"{name}"' if _FIELD.findall(name) != [("", name)] or name.startswith(_COMMENT) \
         else name

@@ -70,7 +70,8 @@ def open_masked(path: Path | str, band: int | None, masks: Sequence[Path | str],
                 continue
             shapes, crs = polygons(name)
             if not crs:
-                excluded.append(_drawn([_in_px(shape) for shape in shapes]))
+                excluded.append(_windows_in_polygons([_polygon_in_pixels(shape)
+                                                      for shape in shapes]))
         if not masks:
             excluded = list(by_bands(picture))
         yield replace(picture, excluded=tuple(excluded))
@@ -135,7 +136,7 @@ def on_the_ground(masks: Sequence[Path | str], crs: str, transform: Any) -> tupl
             # reference.
             return np.column_stack(~transform @ (np.asarray(x), np.asarray(y)))
 
-        excluded.append(_drawn([shapely.transform(shape, to_px) for shape in shapes]))
+        excluded.append(_windows_in_polygons([shapely.transform(shape, to_px) for shape in shapes]))
     return tuple(excluded)
 
 
@@ -160,7 +161,7 @@ def tell_of_idle(masks: Sequence[Path | str], images: Sequence[Path | str],
             idle = not any(_touch(shapes, _bounds(file, crs)) for file in references)
             target = "any reference"
         else:
-            shapes = np.array([_in_px(shape) for shape in shapes])
+            shapes = np.array([_polygon_in_pixels(shape) for shape in shapes])
             idle = not any(_touch(shapes, _bounds(file)) for file in images)
             target = "the image"
         if idle:
@@ -194,7 +195,7 @@ def _touch(shapes: NDArray[Any], bounds: tuple[float, ...] | None) -> bool:
     return bounds is None or bool(shapely.intersects(shapes, shapely.box(*bounds)).any())
 
 
-def _in_px(shape: Any) -> Any:
+def _polygon_in_pixels(shape: Any) -> Any:
     """Return a polygon in columns and rows from the corner of the first pixel."""
     coordinates = shapely.get_coordinates(shape)
     # QGIS draws an image without CRS below the axis, with negative y.
@@ -202,7 +203,7 @@ def _in_px(shape: Any) -> Any:
     return shapely.transform(shape, lambda xy: xy * [1.0, down])
 
 
-def _drawn(shapes: list[Any]) -> Excluded:
+def _windows_in_polygons(shapes: list[Any]) -> Excluded:
     """Return where windows are in polygons, which are in columns and rows."""
     def drawn(first_line: int, first_sample: int, shape: tuple[int, int], step: int) -> Mask:
         """Return which pixels of a window the polygons cover."""

@@ -98,7 +98,7 @@ def start_of(named: str | Path | None, image: Path) -> Start | None:
     """
     if named is None:
         try:
-            return _of_rpc(image)
+            return _start_by_rpc(image)
         except TermselError:
             return _start_by_own_position(image)
     name = str(named)
@@ -119,7 +119,7 @@ def start_of(named: str | Path | None, image: Path) -> Start | None:
                      height if np.isfinite(height) else 0.0, result.project, result.locate,
                      control=result.features)
     try:
-        return _of_rpc(path)
+        return _start_by_rpc(path)
     except TermselError as error:
         if not path.is_file():
             raise
@@ -137,7 +137,7 @@ def start_of(named: str | Path | None, image: Path) -> Start | None:
         raise
 
 
-def _of_rpc(path: Path) -> Start:
+def _start_by_rpc(path: Path) -> Start:
     rpc = read_rpc(path)
     middle = rpc.ground_offset[2]
     half = abs(rpc.ground_scale[2])

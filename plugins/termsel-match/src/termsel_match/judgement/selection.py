@@ -81,12 +81,12 @@ class Selected:
     @property
     def median(self) -> float:
         """Median error [px] of all independent candidates, right or wrong."""
-        return float(np.median(self._of_independent()))
+        return float(np.median(self._independent_figures()))
 
     @property
     def ce90(self) -> float:
         """Error [px] that nine in ten of all independent candidates do not exceed."""
-        return float(np.quantile(self._of_independent(), 0.9, method="higher"))
+        return float(np.quantile(self._independent_figures(), 0.9, method="higher"))
 
     @property
     def rmse(self) -> float:
@@ -103,7 +103,7 @@ class Selected:
         sigma = np.hypot(np.linalg.norm(self.result.fit.sigma(ground), axis=1), self.missed)
         return np.asarray(np.where(np.isfinite(sigma), sigma, np.inf))
 
-    def _of_independent(self) -> FloatArray:
+    def _independent_figures(self) -> FloatArray:
         return _errors(self.result.fit, self.points)[self.independent]
 
 
@@ -190,10 +190,10 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
     agreeing = with_roles.with_(points=with_roles.points.take(agrees))
     result = _told(termsel.run(
         "owdis-points", features=agreeing, model=correction.model, solver="all-terms",
-        options={**correction.options, **_all_used(agreeing)}, seed=seed, out=folder,
+        options={**correction.options, **_options_for_all_control(agreeing)}, seed=seed, out=folder,
         overwrite=plainer_than is not None), folder)
     # Where nothing richer is supported, those that do not agree are wrong matches.
-    missed = _missed(result.fit, points.take(
+    missed = _rms_at_unused(result.fit, points.take(
         (roles != "control") & (agrees | (plainer_than is not None))))
     if plainer_than is None and missed <= (_MISSED if points.sigma is not None else accept / 2):
         missed = 0.0
@@ -201,7 +201,7 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
                     points=points, correction=correction, called_for=plainer_than, missed=missed)
 
 
-def _all_used(features: FeatureSet) -> dict[str, Any]:
+def _options_for_all_control(features: FeatureSet) -> dict[str, Any]:
     """Return options by which all control is used: there is no better selection to prove."""
     control = features.points.take(np.array(features.points.roles, dtype=object) == "control")
     return {"min_features": len(features.with_(points=control)), "blunders": "keep"}
@@ -257,7 +257,8 @@ def with_lines(selected: Selected, lines: FeatureSet, *, seed: int = 1,
             hint="Do the vectors cover the reference?")
     result = _told(termsel.run(
         "owdis-lines", features=with_both, model=model, solver="all-terms",
-        options={**options, "mixed": True, **_all_used(with_both)}, seed=seed, out=folder,
+        options={**options, "mixed": True,
+                 **_options_for_all_control(with_both)}, seed=seed, out=folder,
         overwrite=True),
         folder)
     return replace(selected, result=result)
@@ -298,7 +299,7 @@ def _rms(fitted: Fit, points: Points) -> float:
     return float(np.sqrt((_errors(fitted, points) ** 2).mean()))
 
 
-def _missed(fit: Fit, points: Points) -> float:
+def _rms_at_unused(fit: Fit, points: Points) -> float:
     """Return the RMS error of a fit at candidates that it does not use, without noise [px].
 
     Those count, too, that do not agree: they show best what the model misses. Blunders do not, by

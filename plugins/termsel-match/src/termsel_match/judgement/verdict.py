@@ -119,7 +119,7 @@ def evidence_of(candidates: Candidates, selected: Selected, heights: Heights,
     if start is not None:
         correction = agree.image - start.project(_for_start(agree, candidates))
     return Evidence(
-        sigma=float(sigma.max()), covered=_covered(agree.image, overlap, size),
+        sigma=float(sigma.max()), covered=_share_covered(agree.image, overlap, size),
         bare=unsupported(agree.image, overlap, size),
         structure=structure(points.image[near], residuals[near], 2 * selected.limit, size,
                             np.random.default_rng([seed, 2])),
@@ -340,7 +340,7 @@ def _for_start(points: Points, candidates: Candidates) -> FloatArray:
                             np.where(np.isfinite(z), z, candidates.rough.height)])
 
 
-def _covered(image: FloatArray, overlap: Mask, size: tuple[int, int]) -> float:
+def _share_covered(image: FloatArray, overlap: Mask, size: tuple[int, int]) -> float:
     """Return the part of what image and reference show that is in the hull of points."""
     hull = shapely.convex_hull(shapely.MultiPoint(image))
     positions = grid(size, overlap.shape)[overlap.ravel()]

@@ -107,7 +107,7 @@ def match_lines(
         "score": [f"{ridge.score:.2f}" for _, _, ridge in rows]}
     lines = Lines(tuple(f"L{i + 1:03d}.{k + 1}" for i, k, _ in rows),
                   np.array([ridge.image for _, _, ridge in rows]),
-                  np.array([_shortened(straight_pieces.ground[i], k) for i, k, _ in rows]),
+                  np.array([_shorten_line(straight_pieces.ground[i], k) for i, k, _ in rows]),
                   np.array([ridge.sigma for _, _, ridge in rows]),
                   attributes={name: np.array(cells, dtype=object)
                               for name, cells in attributes.items()})
@@ -120,7 +120,7 @@ def without_start(image: Path) -> TermselError:
                         hint="Give --start with an RPC, a result or points.")
 
 
-def _shortened(ends: FloatArray, k: int) -> FloatArray:
+def _shorten_line(ends: FloatArray, k: int) -> FloatArray:
     """Return two vertices of the same ground line, others for each band: they must differ."""
     # One part in a hundred for each further band, along the same line.
     share = np.array([[0.01 * k], [1 - 0.01 * k]])

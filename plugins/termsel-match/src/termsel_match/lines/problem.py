@@ -97,7 +97,7 @@ class MatchedLines(Problem):
 
     def evaluate(self, genes: Any) -> Evaluation:
         """Return the part of the pieces that does not agree."""
-        away = self._distances(self._fitted(np.asarray(genes, dtype=np.intp)))
+        away = self._distances(self._fit_lines(np.asarray(genes, dtype=np.intp)))
         # Of each piece the nearest candidate alone counts.
         nearest = np.minimum.reduceat(away[:, self._order], self._first, axis=1)
         disagreement = nearest**2 / (nearest**2 + self._half**2)
@@ -119,7 +119,7 @@ class MatchedLines(Problem):
 
     def fitted(self, lines: NDArray[np.intp], weights: FloatArray | None = None) -> FloatArray:
         """Return coefficients, (k,), by least squares of lines, (m,), with weights, (m,)."""
-        return np.asarray(self._fitted(lines[None], weights)[0])
+        return np.asarray(self._fit_lines(lines[None], weights)[0])
 
     def refined(self, coefficients: FloatArray, times: FloatArray | None = None) -> FloatArray:
         """Return the coefficients, (k,), near others that minimise the loss.
@@ -159,13 +159,13 @@ class MatchedLines(Problem):
         """Return the nearest line of each piece to a model, and how far it is [px]."""
         away = self._distances(coefficients[None])[0]
         nearest = np.array([candidates[away[candidates].argmin()]
-                            for candidates in self._of_pieces()])
+                            for candidates in self._equations_of_pieces()])
         return nearest, away[nearest]
 
-    def _of_pieces(self) -> list[NDArray[np.intp]]:
+    def _equations_of_pieces(self) -> list[NDArray[np.intp]]:
         return np.split(self._order, self._first[1:])
 
-    def _fitted(self, lines: NDArray[np.intp], weights: FloatArray | None = None) -> FloatArray:
+    def _fit_lines(self, lines: NDArray[np.intp], weights: FloatArray | None = None) -> FloatArray:
         """Return coefficients, (p, k), by least squares of lines, (p, m), with weights, (m,)."""
         root = np.ones(lines.shape[1]) if weights is None else np.sqrt(weights)
         columns = (self._columns[lines] * root[:, None, None]).reshape(

@@ -105,7 +105,7 @@ def bands(picture: GreyRaster, ends: FloatArray, search: float, limit: int) -> l
         if all(abs(offset[i] - taken_band.offset) >= _BAND_DISTANCE for taken_band in clearest):
             width = _WIDTHS[int(np.nanargmax(np.abs(responses[:, i])))]
             sign = float(np.sign(responses[_WIDTHS.index(width), i]))
-            band = _placed(strip, offset, float(offset[i]), width, sign)
+            band = _place_of_band(strip, offset, float(offset[i]), width, sign)
             if band is not None:
                 (first, last), sigma = band
                 clearest.append(Band(np.stack([ends[0] + first * across, ends[1] + last * across]),
@@ -165,8 +165,8 @@ def _between_edges(profiles: FloatArray, offset: FloatArray, at: FloatArray, wid
     return np.asarray(np.mean(edges, axis=0))
 
 
-def _placed(strip: FloatArray, offset: FloatArray, about: float, width: float, sign: float,
-            ) -> tuple[tuple[float, float], float] | None:
+def _place_of_band(strip: FloatArray, offset: FloatArray, about: float, width: float, sign: float,
+                   ) -> tuple[tuple[float, float], float] | None:
     """Return where across a band is at either end, and the standard deviation; None if unclear."""
     # The place across is found in blocks along the band, and a straight line is fitted to them.
     count = max(_LEAST_BLOCKS, round(len(strip) / _BLOCK_LENGTH))

@@ -119,7 +119,7 @@ def pieces_of(path: Path | str, start: Start, dem: Path | str | None, size: tupl
     measured = np.array(image)
     ground_ends = np.array(ends)
     # Not all pieces, but long ones in all parts of the image and in all directions.
-    taken_pieces = _spread(measured, size)
+    taken_pieces = _spread_pieces(measured, size)
     return Pieces(tuple(vector[i] for i in taken_pieces), ground_ends[taken_pieces],
                   measured[taken_pieces], crs)
 
@@ -182,7 +182,7 @@ def read_vectors(path: Path) -> tuple[list[FloatArray], str]:
     return lines, str(meta["crs"])
 
 
-def _spread(image: FloatArray, size: tuple[int, int]) -> NDArray[np.intp]:
+def _spread_pieces(image: FloatArray, size: tuple[int, int]) -> NDArray[np.intp]:
     """Return which pieces to take: of each cell and direction the longest, in turn."""
     run = image[:, 1] - image[:, 0]
     cell = np.clip(image.mean(axis=1) / size * _IMAGE_CELLS, 0, _IMAGE_CELLS - 1).astype(np.intp)

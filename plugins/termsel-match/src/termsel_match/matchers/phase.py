@@ -40,8 +40,8 @@ class Phase(Matcher):
         """Return distinct places and where they are in the second (see `Matcher.match`)."""
         none = Matches(np.empty((0, 2)), np.empty((0, 2)), np.empty(0))
         expected = np.subtract(first.origin, second.origin)
-        grey = _centred(first)
-        grey_second = _centred(second)
+        grey = _centre_grey(first)
+        grey_second = _centre_grey(second)
         shift = common_shift(grey[None], grey_second[None], expected, search, whitened=True)
         if shift is None:
             return none
@@ -75,7 +75,7 @@ class Phase(Matcher):
         return Matches(positions[order], (positions + shift + moved)[order], np.array(score)[order])
 
 
-def _centred(window: Window) -> Grey:
+def _centre_grey(window: Window) -> Grey:
     """Return grey of which the mean is zero, and zero where it is unknown."""
     mean = window.pixels[window.known].mean() if window.known.any() else 0.0
     return np.where(window.known, window.pixels - mean, 0).astype(np.float32)

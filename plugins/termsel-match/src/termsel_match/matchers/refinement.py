@@ -87,13 +87,13 @@ def refined(first: Layers, second: Layers, at_first: FloatArray, at_second: Floa
     active = np.arange(len(usable))
     # Steps of at most a pixel, until none moves by more than a thousandth.
     for _ in range(_MAX_STEPS):
-        step = _solved(smooth, template[active], position[active], window)[0]
+        step = _solve_steps(smooth, template[active], position[active], window)[0]
         position[active] += np.clip(step, -1, 1)
         has_left = np.linalg.norm(position - begin, axis=1) > _MAX_REFINEMENT
         active = active[(np.abs(step).max(axis=1) > _SETTLED_STEP) & ~has_left[active]]
         if not len(active):
             break
-    _, sigma, score = _solved(smooth, template, position, window)
+    _, sigma, score = _solve_steps(smooth, template, position, window)
     settled = np.ones(len(usable), dtype=bool)
     settled[active] = False
     is_good = (settled & (np.linalg.norm(position - begin, axis=1) <= _MAX_REFINEMENT)
@@ -119,8 +119,8 @@ def _inside(is_known: Mask, at: FloatArray, margin: int = 0) -> Mask:
     return inside
 
 
-def _solved(smooth: list[FloatArray], template: FloatArray, position: FloatArray,
-            window: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _solve_steps(smooth: list[FloatArray], template: FloatArray, position: FloatArray,
+                 window: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return steps (n, 2), standard deviations (n, 2) and correlations (n,) at places.
 
     Templates have the shape (n, c, p): p pixels of c layers.

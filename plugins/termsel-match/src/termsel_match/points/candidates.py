@@ -157,7 +157,7 @@ def match_points(
                               search, count, until, progress)
             with_start = partial(open_reference, start=rough, dem=dem, size=picture.size,
                                  band=reference_band, masks=masks)
-            attempts.append(_of_files(picture, files, with_start, looking))
+            attempts.append(_points_of_files(picture, files, with_start, looking))
             n_found = len(attempts[-1][0])
             if n_found >= max(LEAST_CANDIDATES, count / _SMALL_PART) or looking.is_over:
                 break
@@ -170,13 +170,14 @@ def match_points(
                            f"{LEAST_CANDIDATES} needed", file=image, hint=_why(cells, search, dem))
     if dem is None:
         log.info("Note: the heights are unknown. Give --dem FILE for RPCs and 3D models.")
-    return Candidates(_calibrated(points, rough, crs), crs, size, dict(cells), rough.description,
+    return Candidates(_calibrate_sigma(points, rough, crs), crs, size, dict(cells),
+                      rough.description,
                       rough)
 
 
-def _of_files(picture: GreyRaster, files: list[Path],
-              opened: Callable[[Path], AbstractContextManager[Reference]], looking: Looking,
-              ) -> tuple[Points, str, Counter[str]]:
+def _points_of_files(picture: GreyRaster, files: list[Path],
+                     opened: Callable[[Path], AbstractContextManager[Reference]], looking: Looking,
+                     ) -> tuple[Points, str, Counter[str]]:
     """Return the points by all references, the CRS of the first, and how cells ended."""
     several = []
     crs = ""
@@ -210,10 +211,10 @@ def _of_files(picture: GreyRaster, files: list[Path],
     if not several:
         raise missed or TermselError("none of the references shows what the image shows",
                                      file=files[0].parent, hint="Give references of its area.")
-    return _numbered(several), crs, cells
+    return _number_points(several), crs, cells
 
 
-def _calibrated(points: Points, rough: Start, crs: str) -> Points:
+def _calibrate_sigma(points: Points, rough: Start, crs: str) -> Points:
     """Return points with standard deviations by which those that agree differ from others."""
     assert points.sigma is not None
     z = points.ground[:, 2]
@@ -226,7 +227,7 @@ def _calibrated(points: Points, rough: Start, crs: str) -> Points:
     return replace(points, sigma=calibrated(points.image, moved, points.sigma))
 
 
-def _numbered(several: list[Points]) -> Points:
+def _number_points(several: list[Points]) -> Points:
     """Return all points, with numbers as their ids."""
     if len(several) == 1:
         return several[0]

@@ -109,7 +109,7 @@ def in_cells(picture: GreyRaster, reference: Reference, looking: Looking, area: 
         # A large block is looked at in several places, until one has enough.
         for window in _windows((extents[0], extents[1]), blocks, all_blocks[number], step):
             in_image = (window[0] + first_line, window[1] + first_sample, *window[2:])
-            matches, end = _in_window(picture, reference, looking, in_image, inner, step)
+            matches, end = _best_in_window(picture, reference, looking, in_image, inner, step)
             matches_of_cells = max(matches_of_cells, matches, key=_count)
             if _count(matches_of_cells) >= _EACH:
                 break
@@ -150,8 +150,8 @@ def _windows(size: tuple[int, int], across: int, block: tuple[int, int], step: i
     return windows
 
 
-def _in_window(picture: GreyRaster, reference: Reference, looking: Looking, window: Area,
-               inner: int, step: int) -> tuple[list[Matches], str]:
+def _best_in_window(picture: GreyRaster, reference: Reference, looking: Looking, window: Area,
+                    inner: int, step: int) -> tuple[list[Matches], str]:
     """Return the best matches of each cell of a window, in px of image and reference.
 
     And why the other cells have none.
@@ -186,7 +186,7 @@ def _in_window(picture: GreyRaster, reference: Reference, looking: Looking, wind
     of_cells = []
     for number in product(range(inner), repeat=2):
         in_cell = np.flatnonzero(used & (cell == number).all(axis=1))[:_TRIED]
-        best = _apart(_placed(looking.matcher, matches, in_cell, first, second))
+        best = _apart(_place_matches(looking.matcher, matches, in_cell, first, second))
         if best.sigma is not None and len(best.score):
             # From reduced pixels of the window to pixels of the image, and to those of the
             # reference.
@@ -197,8 +197,8 @@ def _in_window(picture: GreyRaster, reference: Reference, looking: Looking, wind
     return of_cells, UNLIKE
 
 
-def _placed(matcher: Matcher, matches: Matches, numbers: NDArray[np.intp], first: Window,
-            second: Window) -> Matches:
+def _place_matches(matcher: Matcher, matches: Matches, numbers: NDArray[np.intp], first: Window,
+                   second: Window) -> Matches:
     """Return some matches with their standard deviations."""
     if matcher.places_exactly:
         return matches.take(numbers)

@@ -50,7 +50,7 @@ def read_candidates(path: Path | str, image: Path | str, reference: Path | str |
     crs = None
     # Pixels of two images become ground by the reference; other files have ground of their own.
     if reference is not None:
-        if _in_pixels(path):
+        if _is_in_pixels(path):
             options["reference"] = str(reference)
         with open_picture(references_of(reference)[0]) as picture:
             crs = crs_of(picture)
@@ -80,11 +80,11 @@ def read_candidates(path: Path | str, image: Path | str, reference: Path | str |
                            hint="Give a table with more points, and a --dem that covers them.")
     with open_raster(Path(image)) as raster:
         size = int(raster.height), int(raster.width)
-    return Candidates(_named(points), features.crs, size, {},
+    return Candidates(_as_candidates(points), features.crs, size, {},
                       "none" if rough is None else rough.description, rough)
 
 
-def _in_pixels(path: Path) -> bool:
+def _is_in_pixels(path: Path) -> bool:
     """Return whether a file has pixels of two images, which only a reference turns into ground."""
     try:
         require_regular(path)
@@ -96,7 +96,7 @@ def _in_pixels(path: Path) -> bool:
     return any(reader().sniff(path, head) for reader in (AspMatches, MatchesCsv))
 
 
-def _named(points: Points) -> Points:
+def _as_candidates(points: Points) -> Points:
     """Return points of which those for control and check are candidates like any other."""
     return replace(points, roles=tuple(role if role == "independent" else ""
                                        for role in points.roles))

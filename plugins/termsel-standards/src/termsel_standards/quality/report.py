@@ -157,7 +157,7 @@ def quality_of(result: Result, title: str = "", organisation: str = "",
                       "GCP observations; the checksum is that of ids, coordinates, roles, "
                       "standard deviations and CRS as read", result.data.sha256)]
     if image is not None:
-        sources.append(Source(_shown(image), "the image", file_sha256(Path(image))))
+        sources.append(Source(_name_as_text(image), "the image", file_sha256(Path(image))))
     software = dict(result.versions)
     for plugin in result.plugins.values():
         software[plugin.name] = plugin.version
@@ -171,7 +171,7 @@ def quality_of(result: Result, title: str = "", organisation: str = "",
         title=title or Path(result.data.source).stem or "scene", organisation=organisation,
         made=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
         crs=horizontal(result.features.crs), bounds=(west, east, south, north),
-        measures=_measures(result) if prediction is None else _predicted(prediction),
+        measures=_measures(result) if prediction is None else _predicted_figures(prediction),
         statements=_statements(result, prediction),
         check_points=result.accuracy.image.n if result.accuracy else 0,
         control_features=counts.control,
@@ -206,7 +206,7 @@ def _measures(result: Result) -> tuple[Measure, ...]:
                                "px"))
 
 
-def _predicted(prediction: Prediction) -> tuple[Measure, ...]:
+def _predicted_figures(prediction: Prediction) -> tuple[Measure, ...]:
     """Return the figures of a predicted accuracy, named as such."""
     found = f"predicted {prediction.method}, with a {100 * prediction.level:g} % interval"
     measures = []
@@ -257,6 +257,6 @@ def decimal(value: float) -> str:
     return np.format_float_positional(value, 9, fractional=False, trim="0")
 
 
-def _shown(path: str | Path) -> str:
+def _name_as_text(path: str | Path) -> str:
     """Return the name of a file as text; bytes that are not UTF-8 as escapes."""
     return Path(path).name.encode("utf-8", errors="backslashreplace").decode()

@@ -45,7 +45,7 @@ def closed_from(kind: int, vectors: Vectors, limits: Limits, depth: int, first: 
                 upper: FloatArray, space: BoundSpace) -> int:
     """Return a column from which on no subset scores less than the worst of the best scores."""
     n = vectors.top.shape[2] - 1
-    limit = _allowed(worst, limits)
+    limit = _allowed_residuals(worst, limits)
     if not limit < np.inf:
         return int(n)
     if limit < 0.0:  # what no column can change is already more
@@ -58,18 +58,18 @@ def closed_from(kind: int, vectors: Vectors, limits: Limits, depth: int, first: 
 def descend(vectors: Vectors, depth: int, i: int, upper: FloatArray) -> None:
     """Remove column i from those to its right and the target, from one depth to the next."""
     for c in range(vectors.top.shape[2] - 1, i, -1):
-        _remove(vectors, depth, i, c)
+        _remove_column(vectors, depth, i, c)
     for k in range(upper.shape[1]):  # limits of denominators hold for the subsets below, too
         upper[depth + 1, k] = upper[depth, k]
 
 
 @_compiled
-def _remove(vectors: Vectors, depth: int, i: int, c: int) -> None:
+def _remove_column(vectors: Vectors, depth: int, i: int, c: int) -> None:
     remove(vectors, depth, 0, i=i, c=c, n=vectors.top.shape[2] - 1, r=1)
 
 
 @_compiled
-def _allowed(best: float, limits: Limits) -> float:
+def _allowed_residuals(best: float, limits: Limits) -> float:
     """Return what columns may leave of errors whose score is not certainly above the best."""
     return best * (1.0 + 1e-9) + limits.slack - limits.offset
 
@@ -106,21 +106,23 @@ def decide_block(kind: int, vectors: Vectors, limits: Limits, records: Records, 
             return False
         size = limits.size + depth + level + 1
         # What cannot be ruled out by inner products is scored from the vectors.
-        if not single(i, level, _root(best[size], limits), error_accuracy, sum_accuracy, b):
-            _exactly(kind, vectors, limits, records=records, depth=depth, first=first,
-                     count=level + 1, cursor=cursor, mask=mask, b=b)
+        if not single(i, level, _root_of_score(best[size], limits), error_accuracy, sum_accuracy,
+                      b):
+            _score_exactly(kind, vectors, limits, records=records, depth=depth, first=first,
+                           count=level + 1, cursor=cursor, mask=mask, b=b)
         if i == count - 1:
             continue
         # Nothing is below pairs: they need no elimination of their own.
         if room_below - level == 2:
-            root_limit = _root(best[size + 1], limits)
+            root_limit = _root_of_score(best[size + 1], limits)
             if pairs(i, level, count, share=share, root_limit=root_limit,
                      error_accuracy=error_accuracy, sum_accuracy=sum_accuracy, b=b):
                 for c in range(i + 1, count):
                     if not b.row[c] > 0.0:  # NaN rules nothing out
                         b.cursor[level + 1] = c
-                        _exactly(kind, vectors, limits, records=records, depth=depth, first=first,
-                                 count=level + 2, cursor=cursor, mask=mask, b=b)
+                        _score_exactly(kind, vectors, limits, records=records, depth=depth,
+                                       first=first,
+                                       count=level + 2, cursor=cursor, mask=mask, b=b)
         else:
             eliminate(i, level, count, b)
             b.share[level + 1] = share
@@ -129,14 +131,15 @@ def decide_block(kind: int, vectors: Vectors, limits: Limits, records: Records, 
 
 
 @_compiled
-def _root(best: float, limits: Limits) -> float:
+def _root_of_score(best: float, limits: Limits) -> float:
     """Return the root of a score above which none is the best."""
-    return float(np.sqrt(max(0.0, _allowed(best, limits))))
+    return float(np.sqrt(max(0.0, _allowed_residuals(best, limits))))
 
 
 @_compiled
-def _exactly(kind: int, vectors: Vectors, limits: Limits, records: Records, depth: int, first: int,
-             count: int, cursor: IntArray, mask: Any, b: SubsetBlock) -> None:
+def _score_exactly(kind: int, vectors: Vectors, limits: Limits, records: Records, depth: int,
+                   first: int,
+                   count: int, cursor: IntArray, mask: Any, b: SubsetBlock) -> None:
     """Score one subset of a block from the vectors."""
     n = vectors.top.shape[2] - 1
     # Depths below the node are free while its block is decided. Only what the subset needs is
@@ -148,9 +151,9 @@ def _exactly(kind: int, vectors: Vectors, limits: Limits, records: Records, dept
         if vectors.square[depth + level, 0, i] <= vectors.floor[0, i]:
             return  # dependent columns have no score
         if level < count - 1:
-            _remove(vectors, depth + level, i, n)
+            _remove_column(vectors, depth + level, i, n)
             for later in range(level + 1, count):
-                _remove(vectors, depth + level, i, first + b.cursor[later])
+                _remove_column(vectors, depth + level, i, first + b.cursor[later])
     last_depth = depth + count - 1
     subset_score = score(kind, vectors, last_depth, cursor[last_depth], limits)
     size = limits.size + last_depth + 1

@@ -129,7 +129,7 @@ def first_closed(top: FloatArray, extra: FloatArray, first: int, n: int, limit: 
                 closed = i
         if failed or closed == count - 1 or not rational:
             return n - closed
-        gained = _lowered(extra, n, count, upper, minimum, space)
+        gained = _lower_limits(extra, n, count, upper, minimum, space)
         if gained < 0:
             return first
         if gained == 0:
@@ -138,8 +138,8 @@ def first_closed(top: FloatArray, extra: FloatArray, first: int, n: int, limit: 
 
 
 @_compiled
-def _lowered(extra: FloatArray, n: int, count: int, upper: FloatArray, inverse: float,
-             space: BoundSpace) -> int:
+def _lower_limits(extra: FloatArray, n: int, count: int, upper: FloatArray, inverse: float,
+                  space: BoundSpace) -> int:
     """Lower the limits to their maxima on an ellipsoid.
 
     With z = L'(-t, x) and h = L^-1 s its points are |z|^2 <= 1 and h'z = 1. The maximum of a linear

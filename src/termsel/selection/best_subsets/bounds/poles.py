@@ -57,7 +57,7 @@ def node_bound(tree: Tree, d: int, limit: float) -> float:
     for i in range(n):
         if not abs(R[d, i, i]) > DEPENDENT:
             tree.weights[d] = -1
-            return float(_dependent(tree, d))
+            return float(_residuals_if_dependent(tree, d))
     # A child begins with its parent's weights u: shifted = q + sum of u_a w_a.
     for i in range(n):
         tree.shifted[i] = q[d, 0, i]
@@ -98,7 +98,7 @@ def node_bound(tree: Tree, d: int, limit: float) -> float:
             break
         before = bound
         # The guard point that the minimum violates most is next to get a weight.
-        _coefficients(tree, d, n)
+        _solve_coefficients(tree, d, n)
         for g in range(len(tree.required)):
             tree.below[g] = -tree.required[g]
         for i in range(n):
@@ -147,7 +147,7 @@ def _solve_guard(tree: Tree, d: int, a: int, n: int) -> None:
 
 
 @_compiled
-def _coefficients(tree: Tree, d: int, n: int) -> None:
+def _solve_coefficients(tree: Tree, d: int, n: int) -> None:
     """Solve R b = q + W u."""
     # Back substitution, from the last row up.
     for i in range(n - 1, -1, -1):
@@ -158,7 +158,7 @@ def _coefficients(tree: Tree, d: int, n: int) -> None:
 
 
 @_compiled
-def _dependent(tree: Tree, d: int) -> float:
+def _residuals_if_dependent(tree: Tree, d: int) -> float:
     """Return the residuals of dependent columns; infinity if those in use are dependent.
 
     Modified Gram-Schmidt; no other column is too small to count.

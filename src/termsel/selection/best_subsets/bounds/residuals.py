@@ -69,14 +69,15 @@ def branch_residuals(tree: Tree, limits: Limits, records: Records, counts: IntAr
                 depth -= 1
                 continue
             if counts[n - p, largest - p] <= enumerated_up_to:
-                _enumerate(tree, depth, n, room=largest - p, all_in_use=False, limits=limits,
-                           records=records, counts=counts, single=single)
+                _enumerate_node(tree, depth, n, room=largest - p, all_in_use=False, limits=limits,
+                                records=records, counts=counts, single=single)
                 enumerated += counts[n - p, largest - p]
                 depth -= 1
                 continue
             if largest == n:  # A itself; its proper subsets are below the children
-                _enumerate(tree, depth, n, room=0, all_in_use=True, limits=limits, records=records,
-                           counts=counts, single=single)
+                _enumerate_node(tree, depth, n, room=0, all_in_use=True, limits=limits,
+                                records=records,
+                                counts=counts, single=single)
                 enumerated += 1
             order_columns(tree, depth, bound)
             # The largest score of interest of all sizes that the subsets of a child may have.
@@ -95,14 +96,14 @@ def branch_residuals(tree: Tree, limits: Limits, records: Records, counts: IntAr
             depth -= 1
             continue
         tree.child[depth] = i + 1
-        _drop(tree, depth, i)
+        _drop_column(tree, depth, i)
         depth += 1
         entering = True
     return enumerated
 
 
 @_compiled
-def _drop(tree: Tree, d: int, position: int) -> None:
+def _drop_column(tree: Tree, d: int, position: int) -> None:
     """Drop a column, those before it in the order joining the columns in use, to the next depth."""
     n = tree.count[d]
     x = tree.order[d, position]
@@ -164,8 +165,8 @@ def _drop(tree: Tree, d: int, position: int) -> None:
 
 
 @_compiled
-def _enumerate(tree: Tree, d: int, n: int, room: int, all_in_use: bool, limits: Limits,
-               records: Records, counts: IntArray, single: bool | None) -> None:
+def _enumerate_node(tree: Tree, d: int, n: int, room: int, all_in_use: bool, limits: Limits,
+                    records: Records, counts: IntArray, single: bool | None) -> None:
     """Decide all subsets of a node one by one."""
     r = tree.target.shape[1]
     g = records.guard.shape[1]

@@ -45,12 +45,12 @@ def prepare(top: FloatArray, extra: FloatArray, first: int, n: int, upper: Float
     # No denominator is above U of their sum: an error weighs at least 1 / U^2 (module's text).
     for k in range(height):
         b.weight[k] = 1.0 / (upper[k] * upper[k])
-    target = _products(top, top.shape[1], False, first=first, n=n, products=b.control, b=b)
+    target = _write_products(top, top.shape[1], False, first=first, n=n, products=b.control, b=b)
     for i in range(n - first):
         # The inverse 0 makes the share of a dependent column 0: it is never ruled out here.
         square = b.control.diagonal[0, i]
         b.inverse[i] = 1.0 / square if square > floor[first + i] else 0.0
-    _products(extra, height, True, first=first, n=n, products=b.errors, b=b)
+    _write_products(extra, height, True, first=first, n=n, products=b.errors, b=b)
     # Largest ratios of a column's squared length, and squared sum of denominators, to its squared
     # length in the control rows: they turn the accuracy of unit columns into that of the score.
     errors, below = 0.0, 0.0
@@ -68,8 +68,9 @@ def prepare(top: FloatArray, extra: FloatArray, first: int, n: int, upper: Float
 
 
 @_compiled
-def _products(rows: FloatArray, height: int, weighted: bool, first: int, n: int, products: Products,
-              b: SubsetBlock) -> float:
+def _write_products(rows: FloatArray, height: int, weighted: bool, first: int, n: int,
+                    products: Products,
+                    b: SubsetBlock) -> float:
     """Write the inner products of columns at level 0; return the target's with itself."""
     count = n - first
     # Column `count` is the target. Each product is needed once: the matrix is symmetric.

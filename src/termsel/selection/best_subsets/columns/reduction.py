@@ -33,7 +33,7 @@ def by_gain(control: FloatArray, forced: IntArray, free: IntArray, k: int) -> In
     # A column that depends on those before it explains nothing, whatever rounding leaves of it.
     least_squares = (TOLERANCE * np.linalg.norm(control, axis=0)) ** 2
     for j in forced:
-        remainders = _without(remainders, j)
+        remainders = _orthogonal_to(remainders, j)
     unordered = free.tolist()
     order: list[int] = []
     while unordered:
@@ -43,7 +43,7 @@ def by_gain(control: FloatArray, forced: IntArray, free: IntArray, k: int) -> In
         gains = np.divide(gains, squares, out=np.zeros_like(gains), where=squares
                           > least_squares[unordered])
         order.append(unordered.pop(int(gains.argmax())))
-        remainders = _without(remainders, order[-1])
+        remainders = _orthogonal_to(remainders, order[-1])
     return np.array(order, dtype=np.intp)
 
 
@@ -61,7 +61,7 @@ def by_halves(free: IntArray, below: BoolArray) -> IntArray:
     return np.concatenate([above[:a], below_[:b], above[a:], below_[b:]])
 
 
-def _without(rows: FloatArray, j: int) -> FloatArray:
+def _orthogonal_to(rows: FloatArray, j: int) -> FloatArray:
     """Return the columns orthogonal to column j."""
     square = rows[:, j] @ rows[:, j]
     if square == 0.0:

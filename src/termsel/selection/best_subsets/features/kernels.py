@@ -60,18 +60,18 @@ def walk(rows: FeatureRows, state: WalkState, space: EntrySpace, first: int, siz
     count = int(np.intp(0))
     no_feature = int(np.intp(-1))
     entering = size < max_size and first < n
-    status[0] = _open(rows, state, space, depth=depth, first=first, further=entering,
+    status[0] = _open_selection(rows, state, space, depth=depth, first=first, further=entering,
                      floor=limits.floor, limit=square_limits[size])
-    count = _keep(state, depth, size, limits, remaining, count)
+    count = _keep_selection(state, depth, size, limits, remaining, count)
     cursor[0] = first
     while True:
         current_size = size + depth
         # A selection that is carried scores all with one more feature at once.
         if entering and status[depth] == CARRIED and current_size + 1 >= min_size:
-            _scan(rows, state, space, depth, no_feature, cursor[depth])
-            count = _keep_all(rows, space, cursor[depth], mask=mask[depth],
-                              limit=square_limits[current_size + 1], remaining=remaining,
-                              count=count)
+            _score_extensions(rows, state, space, depth, no_feature, cursor[depth])
+            count = _keep_extensions(rows, space, cursor[depth], mask=mask[depth],
+                                     limit=square_limits[current_size + 1], remaining=remaining,
+                                     count=count)
         entering = False
         i = cursor[depth]
         # Upwards where no feature follows, none has room, or too few follow to reach `min_size`.
@@ -85,23 +85,24 @@ def walk(rows: FeatureRows, state: WalkState, space: EntrySpace, first: int, siz
         for w in range(mask.shape[1]):
             mask[depth + 1, w] = mask[depth, w] | rows.bits[i, w]
         if status[depth] == CARRIED:
-            if not further:  # `_scan` has scored it
+            if not further:  # `_score_extensions` has scored it
                 continue
             if current_size + 2 == max_size or i + 2 == n:  # nothing is below those with two more
                 if current_size + 2 >= min_size:
-                    _scan(rows, state, space, depth, i, i + 1)
-                    count = _keep_all(rows, space, i + 1, mask=mask[depth + 1],
-                                      limit=square_limits[current_size + 2], remaining=remaining,
-                                      count=count)
+                    _score_extensions(rows, state, space, depth, i, i + 1)
+                    count = _keep_extensions(rows, space, i + 1, mask=mask[depth + 1],
+                                             limit=square_limits[current_size
+                                                                 + 2], remaining=remaining,
+                                             count=count)
                 continue
-            _carry(rows, state, space, depth, i)
+            _carry_to_next_depth(rows, state, space, depth, i)
             status[depth + 1] = CARRIED
         else:
-            _add(rows, state, depth, i)
-            status[depth + 1] = _open(rows, state, space, depth=depth + 1, first=i + 1,
+            _add_feature_rows(rows, state, depth, i)
+            status[depth + 1] = _open_selection(rows, state, space, depth=depth + 1, first=i + 1,
                                      further=further, floor=limits.floor,
                                      limit=square_limits[current_size + 1])
-            count = _keep(state, depth + 1, current_size + 1, limits, remaining, count)
+            count = _keep_selection(state, depth + 1, current_size + 1, limits, remaining, count)
         if further:
             depth += 1
             cursor[depth] = i + 1
@@ -109,8 +110,8 @@ def walk(rows: FeatureRows, state: WalkState, space: EntrySpace, first: int, siz
 
 
 @_compiled
-def _keep(state: WalkState, depth: int, size: int, limits: SelectionLimits,
-          remaining: RemainingSelections, count: int) -> int:
+def _keep_selection(state: WalkState, depth: int, size: int, limits: SelectionLimits,
+                    remaining: RemainingSelections, count: int) -> int:
     """Take down a selection that is within its limit, or has no score; return the number."""
     status = state.status[depth]
     if status == OPEN or size < limits.min_size:
@@ -129,8 +130,8 @@ def _keep(state: WalkState, depth: int, size: int, limits: SelectionLimits,
 
 
 @_compiled
-def _keep_all(rows: FeatureRows, space: EntrySpace, first: int, mask: Any, limit: float,
-              remaining: RemainingSelections, count: int) -> int:
+def _keep_extensions(rows: FeatureRows, space: EntrySpace, first: int, mask: Any, limit: float,
+                     remaining: RemainingSelections, count: int) -> int:
     """Take down what is within its limit of a selection with each feature from `first` on."""
     for j in range(first, len(rows.bits)):
         if space.totals[j] <= limit:
@@ -142,7 +143,7 @@ def _keep_all(rows: FeatureRows, space: EntrySpace, first: int, mask: Any, limit
 
 
 @_compiled
-def _add(rows: FeatureRows, state: WalkState, depth: int, i: int) -> None:
+def _add_feature_rows(rows: FeatureRows, state: WalkState, depth: int, i: int) -> None:
     """Set the normal equations of the next depth: those of this one, and the rows of feature i.
 
     Of each part p they are N = A'A, as its lower triangle, and A'b.
@@ -166,8 +167,8 @@ def _add(rows: FeatureRows, state: WalkState, depth: int, i: int) -> None:
 
 
 @_compiled
-def _open(rows: FeatureRows, state: WalkState, space: EntrySpace, depth: int, first: int,
-          further: bool, floor: float, limit: float) -> int:
+def _open_selection(rows: FeatureRows, state: WalkState, space: EntrySpace, depth: int, first: int,
+                    further: bool, floor: float, limit: float) -> int:
     """Solve the selection at a depth by Cholesky; return OPEN, UNKNOWN, SCORED or CARRIED."""
     worst, total, pivot = 0.0, 0.0, 1.0
     # Each part of the unknowns needs its own equations.
@@ -178,8 +179,8 @@ def _open(rows: FeatureRows, state: WalkState, space: EntrySpace, depth: int, fi
     for p in range(len(rows.columns)):
         k = rows.columns[p]
         y = space.y[p]
-        pivot = min(pivot, _solve(state.normal[depth, p], state.right[depth, p], k,
-                                  space.factor[p], y))
+        pivot = min(pivot, _solve_normal(state.normal[depth, p], state.right[depth, p], k,
+                                         space.factor[p], y))
         if not pivot > 0.0:
             return UNKNOWN
         square = 0.0
@@ -198,13 +199,13 @@ def _open(rows: FeatureRows, state: WalkState, space: EntrySpace, depth: int, fi
     if not further or worst > CARRY or total > FAR * floor:
         return SCORED
     for p in range(len(rows.columns)):
-        _products(rows, state, space, depth, p, first)
+        _fill_products(rows, state, space, depth, p, first)
     return CARRIED
 
 
 @_compiled
-def _solve(normal: FloatArray, right: FloatArray, k: int, factor: FloatArray,
-           y: FloatArray) -> float:
+def _solve_normal(normal: FloatArray, right: FloatArray, k: int, factor: FloatArray,
+                  y: FloatArray) -> float:
     """Solve N y = r of k unknowns; return the least pivot relative to the trace, 0 if singular.
 
     `factor` becomes the lower Cholesky factor, with its diagonal inverted.
@@ -256,8 +257,8 @@ def _invert(normal: FloatArray, k: int, factor: FloatArray, inverse: FloatArray)
 
 
 @_compiled
-def _products(rows: FeatureRows, state: WalkState, space: EntrySpace,
-              depth: int, p: int, first: int) -> None:
+def _fill_products(rows: FeatureRows, state: WalkState, space: EntrySpace,
+                   depth: int, p: int, first: int) -> None:
     """Fill h, q, e and g of a part at a depth, for the rows of the features from `first` on."""
     k = rows.columns[p]
     inverse = space.inverse[p]
@@ -295,8 +296,8 @@ def _products(rows: FeatureRows, state: WalkState, space: EntrySpace,
 
 
 @_compiled
-def _enter(rows: FeatureRows, state: WalkState, space: EntrySpace,
-           depth: int, p: int, i: int) -> float:
+def _enter_feature(rows: FeatureRows, state: WalkState, space: EntrySpace,
+                   depth: int, p: int, i: int) -> float:
     """Let the rows of feature i enter, one by one; return y'y.
 
     Fills `rows`, `share` and `half`, by which h becomes h - share' rows and q becomes q - share'
@@ -347,10 +348,11 @@ def _enter(rows: FeatureRows, state: WalkState, space: EntrySpace,
 
 
 @_compiled
-def _carry(rows: FeatureRows, state: WalkState, space: EntrySpace, depth: int, i: int) -> None:
+def _carry_to_next_depth(rows: FeatureRows, state: WalkState, space: EntrySpace, depth: int,
+                         i: int) -> None:
     """Carry everything to the next depth, with feature i."""
     for p in range(len(rows.columns)):
-        state.square[depth + 1, p] = _enter(rows, state, space, depth, p, i)
+        state.square[depth + 1, p] = _enter_feature(rows, state, space, depth, p, i)
         start = rows.start[p, i + 1]
         stop = rows.start[p, len(rows.bits)]
         for a in range(start, stop):
@@ -383,35 +385,39 @@ def _carry(rows: FeatureRows, state: WalkState, space: EntrySpace, depth: int, i
 
 
 @_compiled
-def _scan(rows: FeatureRows, state: WalkState, space: EntrySpace,
-          depth: int, i: int, first: int) -> None:
+def _score_extensions(rows: FeatureRows, state: WalkState, space: EntrySpace,
+                      depth: int, i: int, first: int) -> None:
     """Score the selection at a depth, with feature i unless it is -1, with each one after."""
     n = len(rows.bits)
     for j in range(first, n):
         space.totals[j] = 0.0
     for p in range(len(rows.columns)):
         if rows.single[p] and i >= 0:
-            _scan_single(state, depth, p, i, first, space.totals)
+            _score_single_rows(state, depth, p, i, first, space.totals)
             continue
         square = state.square[depth, p]
         entered = 0
         e = state.e[depth, p]
         g = state.g[depth, p]
         if i >= 0:
-            square = _enter(rows, state, space, depth, p, i)
+            square = _enter_feature(rows, state, space, depth, p, i)
             e = space.e
             g = space.g
             entered = rows.start[p, i + 1] - rows.start[p, i]
         for j in range(first, n):
-            space.totals[j] += _with_feature(rows.start[p, j], rows.start[p, j + 1], entered,
+            space.totals[j] += _squares_with_feature(rows.start[p, j], rows.start[p, j + 1],
+                                                     entered,
                                             h=state.h[depth, p], q=state.q[depth, p], e=e, g=g,
                                             square=square, space=space)
 
 
 @_compiled
-def _scan_single(state: WalkState, depth: int, p: int, i: int, first: int,
-                 total: FloatArray) -> None:
-    """Add y'y with feature i and each later one, all of one row: `_enter` and `_with_feature`."""
+def _score_single_rows(state: WalkState, depth: int, p: int, i: int, first: int,
+                       total: FloatArray) -> None:
+    """Add y'y with feature i and each later one, all of one row.
+
+    It is `_enter_feature` and `_squares_with_feature` in one.
+    """
     row = state.h[depth, p, i]
     products = state.q[depth, p, i]
     diagonal_h = state.diagonal_h[depth, p]
@@ -434,8 +440,8 @@ def _scan_single(state: WalkState, depth: int, p: int, i: int, first: int,
 
 
 @_compiled
-def _with_feature(start: int, stop: int, entered: int, h: FloatArray, q: FloatArray,
-                  e: FloatArray, g: FloatArray, square: float, space: EntrySpace) -> float:
+def _squares_with_feature(start: int, stop: int, entered: int, h: FloatArray, q: FloatArray,
+                          e: FloatArray, g: FloatArray, square: float, space: EntrySpace) -> float:
     """Return y'y with the rows from start to stop, after `entered` rows of another feature."""
     small_h = space.small_h
     small_q = space.small_q
@@ -455,7 +461,7 @@ def _with_feature(start: int, stop: int, entered: int, h: FloatArray, q: FloatAr
                             + space.half[t, start + x] * space.share[t, start + z])
             small_h[x, z] = value_h
             small_q[x, z] = value_q
-    # They enter one by one, as in `_enter`; nothing but y'y is needed of the last.
+    # They enter one by one, as in `_enter_feature`; nothing but y'y is needed of the last.
     for x in range(m):
         d = 1.0 / (1.0 + small_h[x, x])
         entering_q = small_q[x, x]

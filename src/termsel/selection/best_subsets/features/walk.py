@@ -128,7 +128,7 @@ class Selections:
     @cached_property
     def floor(self) -> float:
         """Squared errors of the check points that no solution is below; 0 without systems."""
-        return sum(system.floor for system in self._parts)
+        return sum(system.floor for system in self._row_systems)
 
     @property
     def needs_compilation(self) -> bool:
@@ -149,7 +149,7 @@ class Selections:
         not known.
         """
         if not self.systems:
-            selections = self._every(branch)
+            selections = self._all_selections(branch)
             return selections, np.full(len(selections), -np.inf)
         size = self.count(branch)
         if not size:
@@ -164,14 +164,14 @@ class Selections:
         walk_limits = SelectionLimits(max(self.min_size - fixed, 0),
                                       min(self.max_size - fixed, free),
                                       np.ascontiguousarray(squares_of_sizes), self.floor)
-        count = walk(self._rows, state, space, first=branch.first, size=len(branch.used),
+        count = walk(self._padded_rows, state, space, first=branch.first, size=len(branch.used),
                      limits=walk_limits, remaining=remaining)
         selections = np.tile(self.on, (count, 1))
-        in_mask = (remaining.masks[:count, None] & self._rows.bits) != 0
+        in_mask = (remaining.masks[:count, None] & self._padded_rows.bits) != 0
         selections[:, self.free] = in_mask.any(axis=2)  # over the words of a mask
         return selections, remaining.scores[:count] + self.floor
 
-    def _every(self, branch: Branch) -> BoolArray:
+    def _all_selections(self, branch: Branch) -> BoolArray:
         """Return all selections of a branch, one by one, where none is scored."""
         fixed = int(self.on.sum())
         used = len(branch.used)
@@ -187,30 +187,32 @@ class Selections:
         return selections
 
     @cached_property
-    def _parts(self) -> tuple[_InErrorUnits, ...]:
+    def _row_systems(self) -> tuple[_InErrorUnits, ...]:
         return tuple(_InErrorUnits.of(system, self.free, self.on) for system in self.systems)
 
     @cached_property
-    def _rows(self) -> FeatureRows:
+    def _padded_rows(self) -> FeatureRows:
         """The rows of all systems, made equally many and equally wide, as the kernels take them."""
-        height = max(len(system.target) for system in self._parts)
-        width = max(system.design.shape[1] for system in self._parts)
-        design = np.zeros((len(self._parts), height, width))
-        target = np.zeros((len(self._parts), height))
+        height = max(len(system.target) for system in self._row_systems)
+        width = max(system.design.shape[1] for system in self._row_systems)
+        design = np.zeros((len(self._row_systems), height, width))
+        target = np.zeros((len(self._row_systems), height))
         # Parts of fewer rows or unknowns are filled up with zeros that nothing reads.
-        for p, system in enumerate(self._parts):
+        for p, system in enumerate(self._row_systems):
             design[p, :len(system.target), :system.design.shape[1]] = system.design
             target[p, :len(system.target)] = system.target
-        start = np.array([system.start for system in self._parts], dtype=np.intp)
-        columns = np.array([system.design.shape[1] for system in self._parts], dtype=np.intp)
-        min_equations = np.array([system.min_equations for system in self._parts], dtype=np.intp)
+        start = np.array([system.start for system in self._row_systems], dtype=np.intp)
+        columns = np.array([system.design.shape[1] for system in self._row_systems], dtype=np.intp)
+        min_equations = np.array([system.min_equations for system in self._row_systems],
+                                 dtype=np.intp)
         single = (np.diff(start, axis=1) == 1).all(axis=1)
         return FeatureRows(design=design, target=target, start=start, columns=columns,
-                           min_equations=min_equations, single=single, bits=_bits(len(self.free)))
+                           min_equations=min_equations, single=single,
+                           bits=_feature_masks(len(self.free)))
 
     def _walk_state(self, branch: Branch) -> tuple[WalkState, EntrySpace]:
         """Return the arrays of a walk, with the normal equations of its first selection."""
-        rows = self._rows
+        rows = self._padded_rows
         n_systems, height, width = rows.design.shape
         room = min(self.max_size - int(self.on.sum()), len(self.free)) - len(branch.used)
         depths = max(room, 0) + 1
@@ -228,7 +230,7 @@ class Selections:
                           q=np.empty(per_pair), diagonal_h=np.empty(per_row),
                           diagonal_q=np.empty(per_row),
                           e=np.empty(per_row), g=np.empty(per_row), square=np.zeros(per_system))
-        for p, system in enumerate(self._parts):
+        for p, system in enumerate(self._row_systems):
             k = system.design.shape[1]
             A, b = system.always
             for i in branch.used:
@@ -274,7 +276,7 @@ class _InErrorUnits:
         design = np.linalg.solve(r.T, system.design.T).T
         target = system.target - design @ explained
         # A feature of many rows needs no more than there are unknowns.
-        blocks = [_condensed(design[system.feature == i], target[system.feature == i], k)
+        blocks = [_condense_rows(design[system.feature == i], target[system.feature == i], k)
                   for i in free]
         # Forced features are in every selection, as rows of none are.
         in_every_selection = (system.feature < 0) | np.isin(system.feature, np.flatnonzero(on))
@@ -289,7 +291,7 @@ class _InErrorUnits:
                    min_equations=min_equations, floor=float(residuals @ residuals))
 
 
-def _bits(n: int) -> Any:
+def _feature_masks(n: int) -> Any:
     """Return the mask of each of n features, ndarray of uint64, shape (n, words)."""
     bits = np.zeros((n, _MASK_WORDS), dtype=np.uint64)
     features = np.arange(n)
@@ -297,7 +299,7 @@ def _bits(n: int) -> Any:
     return bits
 
 
-def _condensed(A: FloatArray, b: FloatArray, k: int) -> tuple[FloatArray, FloatArray]:
+def _condense_rows(A: FloatArray, b: FloatArray, k: int) -> tuple[FloatArray, FloatArray]:
     """Return at most k rows with the same normal equations: with A = Q R, R'R = A'A."""
     if len(b) <= k:
         return A, b

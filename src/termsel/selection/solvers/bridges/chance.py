@@ -23,13 +23,13 @@ class OwnChance:
         self._others = self._own
 
     def __enter__(self) -> None:
-        self._others = _exchanged(self._own)
+        self._others = _exchange_states(self._own)
 
     def __exit__(self, *_error: object) -> None:
-        self._own = _exchanged(self._others)
+        self._own = _exchange_states(self._others)
 
 
-def _exchanged(states: tuple[Any, Any]) -> tuple[Any, Any]:
+def _exchange_states(states: tuple[Any, Any]) -> tuple[Any, Any]:
     """Set the global states; return those there were."""
     # Both libraries are taken as a pair: some operators of pymoo and DEAP draw from both.
     before = random.getstate(), np.random.get_state()

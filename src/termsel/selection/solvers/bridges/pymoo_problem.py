@@ -200,7 +200,8 @@ class _Tournament:
         return self.compare(pop, P, **arguments)
 
 
-def _begun(algorithm: Algorithm, posed: _Posed, rng: np.random.Generator, horizon: int) -> None:
+def _begin_algorithm(algorithm: Algorithm, posed: _Posed, rng: np.random.Generator,
+                     horizon: int) -> None:
     """Set an algorithm up: its repair, its seeds, and a survival of its own."""
     # By default pymoo gives all algorithms of a class one survival, with what an earlier run left.
     if survival := getattr(algorithm, "survival", None):
@@ -231,7 +232,7 @@ def steps(algorithm: Algorithm, problem: Problem, rng: np.random.Generator,
     # RVEA alone asks how long a run will be.
     expected = horizon or max(EVALUATIONS // (getattr(algorithm, "pop_size", None) or 1), 1)
     with blamed(algorithm, "setup", CHECK), chance:
-        _begun(algorithm, pymoo_problem, rng, expected)
+        _begin_algorithm(algorithm, pymoo_problem, rng, expected)
     for index in itertools.count():
         with blamed(algorithm, "ask", CHECK), chance:
             offspring = algorithm.ask()

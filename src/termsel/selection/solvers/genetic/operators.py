@@ -61,8 +61,8 @@ def crossover(genes: Genes, genome: Genome, probability: float, rng: np.random.G
     mates = rng.random((pairs, 1)) < probability
     children = genes.copy()
     for segment, columns in zip(genome.segments, genome.slices().values(), strict=True):
-        child_1, child_2 = _crossed(segment, genes[first, columns], genes[second, columns], rng,
-                                    points)
+        child_1, child_2 = _cross_pairs(segment, genes[first, columns], genes[second, columns], rng,
+                                        points)
         children[first, columns] = np.where(mates, child_1, genes[first, columns])
         children[second, columns] = np.where(mates, child_2, genes[second, columns])
     return children
@@ -80,18 +80,18 @@ def mutation(genes: Genes, genome: Genome, probability: float,
         return flip_bits(genes, probability, rng)
     mutants = genes.copy()
     for segment, columns in zip(genome.segments, genome.slices().values(), strict=True):
-        mutants[:, columns] = _mutated(segment, genes[:, columns], probability, rng)
+        mutants[:, columns] = _mutate_segment(segment, genes[:, columns], probability, rng)
     return mutants
 
 
-def _crossed(segment: AnySegment, parents_1: Genes, parents_2: Genes,
-             rng: np.random.Generator, points: int) -> tuple[Genes, Genes]:
+def _cross_pairs(segment: AnySegment, parents_1: Genes, parents_2: Genes,
+                 rng: np.random.Generator, points: int) -> tuple[Genes, Genes]:
     """Return two children of each pair of parents."""
     match segment:
         case Integers() | Reals():
-            return _blended(segment, parents_1, parents_2, rng)
+            return _cross_numbers(segment, parents_1, parents_2, rng)
         case Permutation():
-            return _ordered(parents_1, parents_2, rng)
+            return _cross_permutations(parents_1, parents_2, rng)
         case Subset():
             # Parents in turn, as `set_crossover` takes them; who mates is decided by its caller.
             pairs = np.stack([parents_1, parents_2], axis=1)
@@ -106,8 +106,8 @@ def _crossed(segment: AnySegment, parents_1: Genes, parents_2: Genes,
             return np.where(swap, parents_2, parents_1), np.where(swap, parents_1, parents_2)
 
 
-def _blended(segment: Integers | Reals, parents_1: Genes, parents_2: Genes,
-             rng: np.random.Generator) -> tuple[Genes, Genes]:
+def _cross_numbers(segment: Integers | Reals, parents_1: Genes, parents_2: Genes,
+                   rng: np.random.Generator) -> tuple[Genes, Genes]:
     """Cross numbers by simulated binary crossover (Deb, Agrawal 1995)."""
     from pymoo.operators.crossover.sbx import cross_sbx
 
@@ -120,7 +120,8 @@ def _blended(segment: Integers | Reals, parents_1: Genes, parents_2: Genes,
     return segment.repaired(children[0]), segment.repaired(children[1])
 
 
-def _ordered(parents_1: Genes, parents_2: Genes, rng: np.random.Generator) -> tuple[Genes, Genes]:
+def _cross_permutations(parents_1: Genes, parents_2: Genes,
+                        rng: np.random.Generator) -> tuple[Genes, Genes]:
     """Cross permutations by order crossover (Davis 1985)."""
     from pymoo.operators.crossover.ox import ox, random_sequence
 
@@ -133,8 +134,8 @@ def _ordered(parents_1: Genes, parents_2: Genes, rng: np.random.Generator) -> tu
     return children
 
 
-def _mutated(segment: AnySegment, genes: Genes, probability: float,
-             rng: np.random.Generator) -> Genes:
+def _mutate_segment(segment: AnySegment, genes: Genes, probability: float,
+                    rng: np.random.Generator) -> Genes:
     """Return mutated genes of one segment, by its type."""
     match segment:
         case Bits():
@@ -293,11 +294,11 @@ def steps(segment: AnySegment, genes: Genes) -> Iterator[Genes]:
                 values = np.clip(genes[i] + np.concatenate([reach, -reach]), low[i], high[i])
                 # Several reaches end at a bound: each value once, in order of its reach.
                 values = values[np.sort(np.unique(values, return_index=True)[1])]
-                yield _with(genes, i, values[values != genes[i]])
+                yield _with_values_at(genes, i, values[values != genes[i]])
         case Categories():
             for i in range(n):
                 values = np.arange(len(segment.choices))
-                yield _with(genes, i, values[values != genes[i]])
+                yield _with_values_at(genes, i, values[values != genes[i]])
         case Permutation():
             for i in range(n - 1):  # each pair once
                 exchanged = np.repeat(genes[None], n - 1 - i, axis=0)
@@ -308,14 +309,14 @@ def steps(segment: AnySegment, genes: Genes) -> Iterator[Genes]:
             # Members stay sorted: a set has one chromosome.
             outsiders = np.setdiff1d(np.arange(len(segment.labels)), genes)
             for i in range(n):
-                yield np.sort(_with(genes, i, outsiders), axis=1)
+                yield np.sort(_with_values_at(genes, i, outsiders), axis=1)
         case CustomSegment():
             yield from segment.steps(genes)
         case Bits():  # see `swap.neighbours`
             raise TypeError("the neighbours of bits depend on their cardinality")
 
 
-def _with(genes: Genes, i: int, values: Genes) -> Genes:
+def _with_values_at(genes: Genes, i: int, values: Genes) -> Genes:
     """Return copies of genes with other values at one place."""
     copies = np.repeat(genes[None], len(values), axis=0)
     copies[:, i] = values
@@ -339,7 +340,7 @@ def from_keys(keys: FloatArray, genome: Genome) -> Genes:
     start = 0
     for segment, columns in zip(genome.segments, genome.slices().values(), strict=True):
         count = _keys_of(segment)
-        genes[:, columns] = _unlocked(segment, keys[:, start:start + count])
+        genes[:, columns] = _genes_of_keys(segment, keys[:, start:start + count])
         start += count
     return genes
 
@@ -357,7 +358,7 @@ def _keys_of(segment: AnySegment) -> int:
             return segment.size
 
 
-def _unlocked(segment: AnySegment, keys: FloatArray) -> Genes:
+def _genes_of_keys(segment: AnySegment, keys: FloatArray) -> Genes:
     """Return the genes of one segment that random keys stand for, by its type."""
     match segment:
         case Bits():

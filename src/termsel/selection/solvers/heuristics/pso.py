@@ -118,8 +118,10 @@ class BinarySwarm(Solver):
         best_evaluation = evaluation
         yield Generation(0, genes, evaluation, {"velocity": velocity})
         for index in itertools.count(1):
-            velocity = _moved(parameters, index, velocity, position=position.astype(np.float64),
-                              best_position=best_position, best_evaluation=best_evaluation, rng=rng)
+            velocity = _next_velocities(parameters, index, velocity,
+                                        position=position.astype(np.float64),
+                                        best_position=best_position,
+                                        best_evaluation=best_evaluation, rng=rng)
             if bits:
                 # The velocity is the chance of a gene: the position itself is drawn from it.
                 switched_on = rng.random(position.shape) < sigmoid(velocity)
@@ -142,9 +144,10 @@ _FOR_KEYS = {"inertia": 0.7298, "inertia_last": 0.7298, "cognition": 1.4962, "so
 """Defaults; of keys the constriction of Clerc and Kennedy 2002, and half of their range."""
 
 
-def _moved(parameters: Mapping[str, Any], index: int, velocity: FloatArray, position: FloatArray,
-           best_position: Genes, best_evaluation: Evaluation,
-           rng: np.random.Generator) -> FloatArray:
+def _next_velocities(parameters: Mapping[str, Any], index: int, velocity: FloatArray,
+                     position: FloatArray,
+                     best_position: Genes, best_evaluation: Evaluation,
+                     rng: np.random.Generator) -> FloatArray:
     """Return the velocities of the next step."""
     share = min(index / parameters["iterations"], 1.0)
     # v <- w v + c1 r1 (own best - x) + c2 r2 (leader - x), with w from first to last.

@@ -33,10 +33,10 @@ def neighbours(genes: Genes, genome: Genome) -> Iterator[Genes]:
     cardinality. Of other genes see `termsel.selection.solvers.genetic.operators.steps`.
     """
     if genome.dtype == np.bool_:
-        yield from _of_bits(genes, genome)
+        yield from _neighbours_of_bits(genes, genome)
         return
     for segment, columns in zip(genome.segments, genome.slices().values(), strict=True):
-        for changed in _of_segment(genes[columns], genome, segment):
+        for changed in _neighbours_in_segment(genes[columns], genome, segment):
             for start in range(0, len(changed), BATCH):
                 batch = changed[start:start + BATCH]
                 individuals = np.repeat(genes[None], len(batch), axis=0)
@@ -44,13 +44,13 @@ def neighbours(genes: Genes, genome: Genome) -> Iterator[Genes]:
                 yield individuals
 
 
-def _of_segment(genes: Genes, genome: Genome, segment: AnySegment) -> Iterator[Genes]:
+def _neighbours_in_segment(genes: Genes, genome: Genome, segment: AnySegment) -> Iterator[Genes]:
     """Yield the genes of a segment one step away, forced ones as they are."""
     labels = genome.label_slices()[segment.name]
     if isinstance(segment, Bits):
         segment_genome = Genome([segment], on=select(segment.labels, genome.on[labels]),
                                 off=select(segment.labels, genome.off[labels]))
-        yield from _of_bits(genes.astype(bool), segment_genome)
+        yield from _neighbours_of_bits(genes.astype(bool), segment_genome)
     else:
         for stepped in steps(segment, genes):
             if isinstance(segment, Subset):
@@ -60,7 +60,7 @@ def _of_segment(genes: Genes, genome: Genome, segment: AnySegment) -> Iterator[G
             yield stepped
 
 
-def _of_bits(genes: BoolArray, genome: Genome) -> Iterator[BoolArray]:
+def _neighbours_of_bits(genes: BoolArray, genome: Genome) -> Iterator[BoolArray]:
     """Yield the neighbours in a genome of bits alone."""
     flips: list[IntArray] = []  # genes that may be switched without leaving the cardinality
     # Pairs of one gene of the first and one of the second, of which there may be very many: they
@@ -116,8 +116,8 @@ def descend(problem: Problem, genes: Genes, evaluation: Evaluation, index: int =
             # The first batch with a better one is enough: further ones may be very many.
             best_neighbour = neighbour_evaluation.take(neighbour_evaluation.order()[:1])
             if _rank(best_neighbour) < _rank(evaluation):
-                genes, evaluation = _combined(problem, genes, evaluation, around,
-                                              neighbour_evaluation)
+                genes, evaluation = _combine_best_changes(problem, genes, evaluation, around,
+                                                          neighbour_evaluation)
                 better = True
                 break
 
@@ -151,8 +151,9 @@ def climb(problem: Problem, genes: Genes, evaluation: Evaluation,
         for i, columns in enumerate(genome.slices().values()):
             candidates[i, columns] = reached.genes[0, columns]
         candidates[-1] = reached.genes[0]
-        combined, combined_evaluation = _combined(problem, best.genes, best.evaluation, candidates,
-                                                  problem.evaluate(candidates))
+        combined, combined_evaluation = _combine_best_changes(problem, best.genes, best.evaluation,
+                                                              candidates,
+                                                              problem.evaluate(candidates))
         climbed += descend(problem, combined, combined_evaluation, reached.index + 1)
 
 
@@ -163,8 +164,8 @@ def _shaken(genes: Genes, genome: Genome, rng: np.random.Generator) -> Genes:
     return mutation(genes, genome, rng.uniform(0.0, 0.5), rng)
 
 
-def _combined(problem: Problem, genes: Genes, evaluation: Evaluation, around: Genes,
-              neighbour_evaluation: Evaluation) -> tuple[Genes, Evaluation]:
+def _combine_best_changes(problem: Problem, genes: Genes, evaluation: Evaluation, around: Genes,
+                          neighbour_evaluation: Evaluation) -> tuple[Genes, Evaluation]:
     """Return the best of a selection, its neighbours, and the best change of each segment."""
     order = neighbour_evaluation.order()
     best = _better(genes, evaluation, around[order[:1]], neighbour_evaluation.take(order[:1]))
