@@ -6,6 +6,7 @@ import gc
 import io
 import os
 import sys
+import warnings
 
 try:
     from termsel.core.interrupts import INTERRUPTED, answered, end, end_at_once, leave, watch
@@ -102,10 +103,21 @@ def prepare_process() -> None:
     gc.set_threshold(ALLOCATIONS)
     # For all that is started: see termsel.core.isolation.helper.
     os.environ["PYTHONSAFEPATH"] = "1"
+    silence_warnings()
     # Of the BLAS that NumPy and SciPy bring along: see termsel.core.threads.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     claim_process()
     open_streams()
+
+
+def silence_warnings() -> None:
+    """Show no warnings of Python here and in processes that are started: they are for programmers.
+
+    Whoever asks for them gets them: ``python -W``, PYTHONWARNINGS or TERMSEL_DEBUG=1.
+    """
+    if not sys.warnoptions and os.environ.get("TERMSEL_DEBUG") != "1":
+        warnings.simplefilter("ignore")
+        os.environ["PYTHONWARNINGS"] = "ignore"
 
 
 def end_if_interrupted(code: object) -> None:

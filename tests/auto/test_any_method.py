@@ -39,7 +39,7 @@ def test_a_method_by_its_name_takes_the_place_of_auto(scene: FeatureSet) -> None
 
 
 def test_a_method_next_to_a_solver_is_refused(scene: FeatureSet) -> None:
-    with pytest.raises(TermselError, match="a method is asked for, and solver"):
+    with pytest.raises(TermselError, match="a method is given, and solver"):
         termsel.run("rfm-terms", features=scene, method="affine", solver="ga")
 
 
@@ -154,7 +154,7 @@ def test_methods_that_auto_does_not_choose_are_fitted_where_they_are_asked_for(
 
 
 def test_a_method_that_cannot_be_held_against_features_says_why(scene: FeatureSet) -> None:
-    with pytest.raises(TermselError, match="cannot be held against a third-order RFM by ridge"):
+    with pytest.raises(TermselError, match="points cannot test a third-order RFM by ridge"):
         termsel.run(features=scene, method="ridge")
 
 

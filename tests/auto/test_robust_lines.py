@@ -330,7 +330,7 @@ def test_a_search_is_told_where_a_robust_fit_is_no_worse() -> None:
     assert reference < rows["quadratic"].rmse["independent"].total
     assert result.rmse["independent"].total > 1.05 * reference
     assert "outliers removed, is" in result.judgement
-    assert "omit --problem and --solver" in result.judgement
+    assert "omit --problem, --solver and --model" in result.judgement
     assert "without blunders *" in result.summary(verbose=True)
 
 

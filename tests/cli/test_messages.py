@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import ast
+import os
 import re
 import shlex
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
 import click
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from termsel.__main__ import silence_warnings
 from termsel.cli.main import cli
 from termsel.cli.usage import usage_message
 from termsel.plugins.registry import registry
@@ -134,6 +138,54 @@ def test_a_table_of_one_pair_says_which_pair_is_missing(tmp_path: Path, header: 
 def test_a_table_given_as_a_raster_is_called_text(example_files: Path) -> None:
     table = str(example_files / "gcps.csv")
     assert "this is a file of text, not a raster" in refused("run", table, "--image", table)
+
+
+def test_warnings_of_libraries_reach_nobody_who_did_not_ask(
+        monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.delenv("TERMSEL_DEBUG", raising=False)
+    monkeypatch.delenv("PYTHONWARNINGS", raising=False)
+    monkeypatch.setattr("sys.warnoptions", [])
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        silence_warnings()
+        np.float64(1.0) / np.float64(0.0)
+        warnings.warn("of a library", DeprecationWarning, stacklevel=1)
+    assert capfd.readouterr().err == ""
+    # Processes that a study starts are as silent.
+    assert os.environ["PYTHONWARNINGS"] == "ignore"
+
+
+def test_all_points_at_one_pixel_are_refused_without_a_word_of_numpy(tmp_path: Path) -> None:
+    table = tmp_path / "points.csv"
+    rows = [f"P{i},100,200,48.{i},34.{i * i},{i}" for i in range(12)]
+    table.write_text("\n".join(["id,line,sample,x,y,z", *rows]))
+    message = refused("run", str(table), "--crs", "EPSG:4979")
+    assert message.startswith("Error: all control features have the same place in the image.")
+
+
+def test_the_method_of_an_rpc_asks_for_one(example_files: Path) -> None:
+    message = refused("run", str(example_files / "gcps.csv"), "--method", "rpc")
+    assert "no RPC is given. Give it with --rpc FILE" in message
+    assert "Measure more" not in message
+
+
+def test_a_file_given_twice_and_a_folder_among_files(example_files: Path, tmp_path: Path) -> None:
+    table = str(example_files / "gcps.csv")
+    assert f"{table} is given twice. Give it once." in refused("run", table, table)
+    assert f"{tmp_path}: this is a folder, and a run takes files." \
+        in refused("run", table, str(tmp_path))
+
+
+def test_points_to_project_are_to_be_in_the_crs_of_the_control(example_files: Path) -> None:
+    # The command has no --crs.
+    places = example_files.parent / "places.csv"
+    places.write_text("id,x,y,z\np1,270548.794,3854107.257,1800\n")
+    result = example_files.parent / "for-places"
+    assert CliRunner().invoke(cli, ["run", str(example_files / "gcps.csv"), "--quiet", "--out",
+                                    str(result), "--overwrite"]).exit_code == 0
+    message = refused("project", str(result), "--points", str(places))
+    assert "The points must be in the CRS of the control, EPSG:4979: transform them" in message
+    assert "--crs" not in message
 
 
 def test_a_list_of_toml_that_never_ends_is_said_where_it_begins(tmp_path: Path) -> None:

@@ -168,7 +168,7 @@ BAD_FILES = {
     "three points for 39 terms": (
         lambda f, t: some_points(f, t, 3),
         "only 1 control point, next to 1 selection point and 1 independent check point; "
-        "rfm-terms needs at least 3."),
+        "rfm-terms needs at least 3 control points."),
     "all points on one line": (
         straight_line, "all control features lie on one straight line on the ground. Add control "
         "away from that line: a model needs an area."),
@@ -267,7 +267,7 @@ BAD_WORDS = {
         ["--problem", "rfm-terms", "--crs", "local"],
         "--crs requires --points or --lines. Give --points FILE, or leave --crs out."),
     "unwritable out": (["--problem", "rfm-terms", "--out", os.devnull],
-                       f"{os.devnull} is no folder"),
+                       f"{os.devnull} is a file, not a folder"),
     "no lines in the data": (
         ["--problem", "owdis-lines", "--dataset", "irs1c-mashad"],
         "the problem needs control lines and there are none. Give them with --lines FILE, or "),

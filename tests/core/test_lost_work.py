@@ -32,7 +32,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ["report", "RESULT", "-o"], ["plot", "RESULT", "residuals", "-o"],
     ["export", "RESULT", "--to", "points-csv", "--output"], ["plan", "RESULT", "-n", "3", "-o"]])
 @pytest.mark.parametrize(("output", "said"), [
-    ("missing/FILE", "there is no such folder"), ("afile/FILE", "afile is no folder"),
+    ("missing/FILE", "there is no such folder"), ("afile/FILE", "afile is a file, not a folder"),
     ("adir.FILE", "not an ordinary file")])
 def test_an_output_that_cannot_be_written_is_told_before_the_work(
         folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: list[str],

@@ -160,7 +160,7 @@ def test_is_geographic() -> None:
     ("EPSG:4258", [(5, 44)]), ("EPSG:32631", [(500_000, 4_880_000)]),
     ("EPSG:32621", [(560_000, -3_800_000)]), ("EPSG:32721", [(560_000, 6_130_000)]),
     ("EPSG:2100", [(268_968.6, 4_488_342.0)]), ("EPSG:3857", [(15_114_673.7, 4_155_984.2)]),
-    ("EPSG:4978", [(4_000_000, 400_000)]), ("local", [(5, 44)]), ("local", [(1e9, -1e9)]),
+    ("EPSG:4978", [(6_340_000, 400_000)]), ("local", [(5, 44)]), ("local", [(1e9, -1e9)]),
     ("EPSG:3857", [(40, 60), (2000, 5000), (7000, 3000), (9000, 9000)]),
     ("EPSG:32631", []), ("EPSG:4979", [])])
 def test_coordinates_that_fit(crs: str, xy: list[tuple[float, float]]) -> None:
@@ -176,7 +176,9 @@ def test_coordinates_that_fit(crs: str, xy: list[tuple[float, float]]) -> None:
     ("EPSG:4979", [(500_000, 4_880_000)], "look like metres: state the projected CRS with --crs"),
     ("EPSG:4258", [(500_000, 4_880_000)], "look like metres"),
     ("EPSG:4979", [(5, 44), (6, 45), (500_000, 45)], "feature 'p2' with x = 500000, y = 45"),
-    ("EPSG:32631", [(5.2, 44.1), (5.3, 44.2)], "--crs EPSG:4979"),
+    ("EPSG:32631", [(5.2, 44.1), (5.3, 44.2)], "in the file or by --crs, state EPSG:4979"),
+    ("EPSG:4978", [(5.2, 44.1)], "look like longitude, latitude and height: state --crs EPSG:4979"),
+    ("EPSG:4978", [(4_000_000, 400_000)], "from the centre of the Earth"),
     ("EPSG:2100", [(21.2, 40.5)], "look like degrees"),
     ("EPSG:32631", [(4_880_000, 500_000)], "x and y look swapped: --set swapped=xy exchanges them"),
     ("EPSG:32731", [(6_130_000, 560_000)], "x and y look swapped: --set swapped=xy exchanges them"),

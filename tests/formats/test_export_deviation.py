@@ -214,8 +214,8 @@ def test_a_vrt_without_an_image_holds_all_features(tmp_path: Path,
     lines, samples = (int(value) + 1 for value in features.points.image.max(axis=0))
     with caplog.at_level(logging.WARNING, logger="termsel"):
         termsel.export(result, "rpc-vrt", tmp_path / "s.vrt")
-    assert ("Warning: the size of the image is not known; "
-            f"{lines} lines and {samples} samples hold all features. Give --image FILE."
+    assert ("Warning: the size of the image is not known. The file says "
+            f"{lines} lines and {samples} samples, which hold all features; --image FILE"
             ) in caplog.text
     assert f'rasterXSize="{samples}" rasterYSize="{lines}"' in (tmp_path / "s.vrt").read_text()
 

@@ -191,7 +191,8 @@ def _nested(depth: int) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(("change", "message"), [
-    ({"schema": "termsel-result-0"}, "not a result with the schema termsel-result-1"),
+    ({"schema": "termsel-result-0"},
+     "its schema is 'termsel-result-0', expected 'termsel-result-1'"),
     ({"model": "rfn"}, "unknown model 'rfn'"),
     ({"scaling": {}}, "this result is damaged"),
     ({"coefficients": {"line.num:W": 1.0}}, "the installed model has no term 'line.num:W'"),
@@ -278,7 +279,7 @@ def test_folders_that_lack_something_are_refused(tmp_path: Path) -> None:
         read_result(tmp_path)
     (tmp_path / "result.json").write_text(whole)
     (tmp_path / "points.csv").unlink()
-    with pytest.raises(TermselError, match=r"points\.csv: this file does not exist"):
+    with pytest.raises(TermselError, match=r"lacks its file points\.csv"):
         read_result(tmp_path)
 
 

@@ -113,10 +113,10 @@ def test_a_conventional_fit_that_is_not_determined_is_said_to_be() -> None:
     ("affine", 1.0, 1.051, "It is 1.1 times better than the automatic choice, an affine polynomial "
      "fitted to control and selection points (1.05 px)."),
     ("regularised-cubic", 4.0, 2.0, "The automatic choice, a regularised cubic polynomial fitted "
-     "to control and selection points, is 2.0 times better (2.00 px): omit --problem and "
-     "--solver."),
+     "to control and selection points, is 2.0 times better (2.00 px): omit --problem, "
+     "--solver and --model."),
     ("rfm-3", 4.0, 2.0, "The automatic choice, a third-order RFM fitted to control and selection "
-     "points, is 2.0 times better (2.00 px): omit --problem and --solver."),
+     "points, is 2.0 times better (2.00 px): omit --problem, --solver and --model."),
     ("rfm-2", 4.0, 2.0, "A simpler model, a second-order RFM fitted to control and selection "
      "points, is 2.0 times better (2.00 px).")])
 def test_the_selection_against_the_choice_of_auto(

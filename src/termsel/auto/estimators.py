@@ -50,4 +50,4 @@ def estimator(name: str, /, **options: Any) -> Estimator:
         return ESTIMATORS[name](**options)
     except TypeError as error:
         raise TermselError(f"the estimator {name} cannot be made with the options {options}",
-                           hint="Run the search again.") from error
+                           hint="Copy the whole folder again, or repeat the run.") from error

@@ -161,7 +161,8 @@ def _study_asked_for(files: tuple[Path, ...], options: dict[str, Any]) -> tuple[
     if files and keys:
         # A study is one file that says everything: an option beside it would not be in its record.
         raise TermselError(f"{files[0]} and the option --{_first(options)} exclude each other",
-                           hint="Write it into the study file.")
+                           hint=f"Write it into {files[0]}, which says all of a study, or leave "
+                                f"{files[0]} out.")
     if not files and not keys:
         raise TermselError("there is nothing to compare",
                            hint="Give a study file, --points FILES or --problem NAMES.")

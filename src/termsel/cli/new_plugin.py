@@ -89,6 +89,9 @@ def package(name: str, *kinds: str) -> dict[str, str]:
     Of several kinds each has a module and a name of its own, such as demo-model.
     """
     for kind in kinds:
+        if not kind:
+            raise TermselError("--kind has a comma without a kind beside it",
+                               hint="Name kinds as in --kind model,solver.")
         if kind not in NEW_KINDS:
             raise unknown_name("kind of plugin", kind, NEW_KINDS)
     if len(set(kinds)) < len(kinds):

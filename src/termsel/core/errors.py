@@ -126,6 +126,9 @@ def cut(text: str, longest: int) -> str:
 MOST_NAMED = 40
 """Names a message lists before it stops."""
 
+_ALIKE = 3
+"""Letters at the beginning that tell a name where no other begins with them."""
+
 MOST_BESIDE_NEAR = 25
 """Names a message lists next to the nearest: of more, the nearest stands alone."""
 
@@ -152,6 +155,10 @@ def _near(name: str, names: Sequence[str]) -> list[str]:
     near = get_close_matches(small, by_small_letters, n=1, cutoff=0.6)
     near += [known for known in by_small_letters if known not in near
              and (known.startswith(f"{small}-") or small.startswith(f"{known}-"))]
+    # popsize for population: the only name that begins alike.
+    alike = [known for known in by_small_letters if known[:_ALIKE] == small[:_ALIKE]]
+    if not near and len(alike) == 1 and len(small) > _ALIKE:
+        near = alike
     return [by_small_letters[known] for known in near[:3]]
 
 

@@ -33,7 +33,13 @@ TAKEN = 1e-5
 """Difference [m] up to which a height was taken from the DEM itself, and tells nothing."""
 
 GEOID = "geoid and ellipsoid?"
-"""The usual cause."""
+"""The usual cause, up to what geoids are from ellipsoids."""
+
+NO_DEM = "is it a raster of heights, in the unit of the control?"
+"""The cause of larger differences."""
+
+_MAX_GEOID_HEIGHT = 150.0
+"""Metres by which no geoid is from an ellipsoid, with room for a DEM's own errors."""
 
 _MAD = 1.4826  # from the median absolute deviation to the standard deviation of normal errors
 _EFFICIENCY = float(np.sqrt(np.pi / 2))  # standard deviation of a median by that of a mean
@@ -78,12 +84,16 @@ class DemDifference:
         evidence = (f"median of {counted(self.count, 'height')}, standard deviation "
                     f"{_rounded_in_words(self.sigma)} m")
         return off_as_a_whole(self.above, "the control", evidence, effect, self.dem,
-                              "feet and metres?" if self.in_feet else GEOID)
+                              "feet and metres?" if self.in_feet else "")
 
 
 def off_as_a_whole(above: float, reference: str, evidence: str, effect: str = "", dem: str = "",
-                   cause: str = GEOID) -> str:
-    """Return in a sentence that a DEM is so much above something [m], and what may be the cause."""
+                   cause: str = "") -> str:
+    """Return in a sentence that a DEM is so much above something [m], and what may be the cause.
+
+    The cause is that which such a difference usually has, if none is given.
+    """
+    cause = cause or (GEOID if abs(above) <= _MAX_GEOID_HEIGHT else NO_DEM)
     direction = "above" if above > 0 else "below"
     name = f" {dem}" if dem else ""
     return (f"The DEM{name} is {_rounded_in_words(abs(above))} m {direction} {reference} "

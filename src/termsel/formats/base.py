@@ -297,7 +297,10 @@ def parse_json(text: str, hint: str) -> Any:
     try:
         return json.loads(text)
     except json.JSONDecodeError as error:
-        raise TermselError(f"this is not JSON: {error.msg}", line=error.lineno, hint=hint
+        # At its end a text breaks off; what else is wrong was written so.
+        is_cut = error.pos >= len(text.rstrip())
+        reason = "the file breaks off here" if is_cut else error.msg
+        raise TermselError(f"this is not JSON: {reason}", line=error.lineno, hint=hint
                            ) from error
     except RecursionError:
         raise TermselError("this JSON is nested too deeply", hint=hint) from None

@@ -20,6 +20,9 @@ log = logging.getLogger(__name__)
 MAX_SILENT_DEVIATION = 1.0
 """Deviation from the model [px] above which an export warns."""
 
+_INVISIBLE = 0.001
+"""Deviation [px, m] below which "at most 0.001" is said."""
+
 Transformation = Callable[[FloatArray], FloatArray]
 """From ground places (n, 3), whose heights are not used, to line and sample (n, 2)."""
 
@@ -87,6 +90,8 @@ def say_deviation(name: str, fitted: Fit, ground: FloatArray, image: FloatArray,
 
 
 def _size(length: float) -> str:
+    """Return a length with two digits; one that nobody can see is at most its bound."""
+    length = max(length, _INVISIBLE)
     return f"{length:.2g}" if length < 100 else f"{length:,.0f}"
 
 

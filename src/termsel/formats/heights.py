@@ -359,7 +359,8 @@ def _say_far_height(features: FeatureSet, project: Projection, height: float) ->
     if pixels >= FAR_HEIGHT_PIXELS:
         side = "above" if above > 0 else "below"
         log.warning("Warning: the height %.6g is %.5g %s the control (%.6g to %.6g): %.3g px in "
-                    "the image, where the model was not tested. Is it in the unit of the control?",
+                    "the image, where the model was not tested. Give the height of the ground, in "
+                    "the unit of the control.",
                     height, beyond, side, lowest, highest, pixels)
 
 

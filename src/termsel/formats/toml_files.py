@@ -13,6 +13,19 @@ from termsel.formats.base import read_text
 
 _BOMB = re.compile(r"\.(?:[\"'\w \t-]{0,80}\.){100}")  # dotted keys cost the square of their parts
 _TWICE = re.compile(r"Cannot (?:overwrite|declare) \('(\w+)'")
+_IN_WORDS = {
+    "Invalid value": "what stands here is no value; text needs quotes",
+    "Expected newline or end of document after a statement":
+        "a value ends here, and more follows on the same line",
+    "Expected '=' after a key in a key/value pair": "a key stands here without = and a value",
+    "Invalid statement": "this line is neither [a table] nor key = value",
+    "Unclosed inline table": "the table that begins here has no closing brace",
+    "Unterminated string": "the text that begins here has no closing quote",
+    "Expected ']' at the end of a table declaration": "the name of this table has no closing ]",
+    "Expected ']]' at the end of an array declaration": "the name of this table has no closing ]]",
+}
+"""What a user reads for what tomllib says."""
+
 _DEEPEST = 100
 """Tables or lists within each other at most."""
 
@@ -51,6 +64,7 @@ def read_toml(file: Path, kind: str, hint: str) -> tuple[dict[str, Any], str]:
         if reason == "Unclosed array":
             line, column = _opening(text), None
             reason = "the list that begins here has no closing bracket"
+        reason = _IN_WORDS.get(reason, reason)
         twice = _TWICE.match(reason)
         if twice:
             reason = f"the key {twice[1]!r} is stated twice, or [{twice[1]}] stands where " \

@@ -188,11 +188,12 @@ def grid_of_image(result: Result, crs: str, resolution: float | None = None, *,
     is_tiny = min(map_sides) < fewest_pixels <= min(image_sides)
     is_huge = max(map_sides) > most_pixels >= max(image_sides)
     if is_tiny or is_huge or max(map_sides) > _MAX_MAP_SIDE:
-        raise TermselError(f"with pixels of {resolution:g} {unit} the map would have {lines:.0f} "
+        raise TermselError(f"with pixels of {resolution:g} {unit}s the map would have {lines:.0f} "
                            f"lines and {width:.0f} samples",
-                           hint=f"Give --res in the units of the map, {unit}: the image has "
-                                f"{of_image:g}. Or give a --crs whose edge does not run through "
-                                "the image.")
+                           hint=f"Give --res in {unit}s, the units of the map: a pixel of the "
+                                f"image is {of_image:.2g} {unit}s." + (
+                                    "" if is_tiny else " Or the edge of the CRS runs through the "
+                                    "image: give another --crs."))
     west = low[0] * resolution
     north = high[1] * resolution
     return MapGrid(crs, int(lines), int(width), Affine(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from termsel.core.errors import TermselError, counted, first_of
-from termsel.data.coordinates.crs import is_geographic, normalise, with_stated_heights
+from termsel.data.coordinates.crs import is_geographic, normalise, short, with_stated_heights
 from termsel.data.coordinates.longitudes import nearest
 from termsel.data.coordinates.plausible import check_ground
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points, select
@@ -84,6 +84,9 @@ def project_table(
             check_ground(FeatureSet(Points(tuple(ids), np.zeros((len(ids), 2)), ground), crs=crs))
         except TermselError as error:
             error.file = path
+            swapped = "The columns look swapped. " if "swapped" in (error.hint or "") else ""
+            error.hint = f"{swapped}The points must be in the CRS of the control, {short(crs)}: " \
+                "transform them to it."
             raise
         with np.errstate(all="ignore"):
             image = result.project(ground)

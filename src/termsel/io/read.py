@@ -13,13 +13,15 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from termsel.core.errors import TermselError, counted, unknown_name
 from termsel.core.files.atomic import private_folder
 from termsel.core.files.names import is_there
 from termsel.core.isolation.faults import PluginFault, is_own, name_of
 from termsel.core.isolation.parts import missing, parts
 from termsel.core.options import Option
-from termsel.data.coordinates.crs import LOCAL, normalise
+from termsel.data.coordinates.crs import LOCAL, WGS84, normalise, short
 from termsel.data.coordinates.earth import say_turned, unknown_crs
 from termsel.data.coordinates.plausible import check_ground, note_on_mixed
 from termsel.data.features import FeatureSet, no_lines, no_points
@@ -374,6 +376,11 @@ def _refuse_other_content(path: Path, head: bytes) -> None:
     if text[:14].lower().startswith(("<!doctype html", "<html")):
         raise TermselError("this file is a web page, not data", file=path,
                            hint="Often it stands for a download that failed: fetch the data again.")
+    if text.startswith("<"):
+        root = re.search(r"<([A-Za-z_][\w.:-]{0,60})", text)
+        name = f" (<{root[1]}>)" if root else ""
+        raise TermselError(f"this is XML{name} of no kind that termsel reads, or it is damaged",
+                           file=path, hint=EXPECTED)
     if text.startswith("{") and '"FeatureCollection"' in text:
         geometries = set(re.findall(r'"type"\s*:\s*"((?:Multi)?(?:Point|LineString|Polygon))"',
                                     text))
@@ -520,8 +527,14 @@ def _features_of_files(points: Path | None, lines: Path | None, *, areas: Path |
     reader_of = {path: find_reader(path, readers, name, options)
                  for path, name in zip_longest(paths, formats)}
     _refuse_idle(options, reader_of)
-    sets = {path: exchanged_back(reader.read(path), swapped)
-            for path, reader in reader_of.items()}
+    sets: dict[Path, FeatureSet] = {}
+    for path, reader in reader_of.items():
+        try:
+            sets[path] = exchanged_back(reader.read(path), swapped)
+        except TermselError as error:
+            if formats and error.what.startswith("there is no column"):
+                error.hint = f"{error.hint} Without --format the content tells the format."
+            raise
     if origin is not None:
         sets = {path: _count_from_origin(path, features, reader_of[path], origin)
                 for path, features in sets.items()}
@@ -595,7 +608,8 @@ def _check_areas(path: Path, reader: Reader, asked_for: bool) -> None:
         raise TermselError(f"the file has no areas: it is read as {reader.name}", file=path,
                            hint="Give points with --points and lines with --lines.")
     if not asked_for:
-        raise TermselError("the file has areas", file=path, hint="Give it with --areas alone.")
+        raise TermselError("the file has areas", file=path,
+                           hint=f"Give it as areas, not as points or lines: --areas {path}.")
 
 
 def _with_areas(features: FeatureSet, areas: FeatureSet, path: Path) -> FeatureSet:
@@ -656,12 +670,27 @@ def _agreed_crs(sets: dict[Path, FeatureSet], stated: str | None) -> str:
         if agreed is None:
             agreed = declared
             source = str(path)
-        # EPSG:4979 only adds the meaning of the heights to EPSG:4326, as the user may.
-        elif declared != agreed and (stated, declared) != ("EPSG:4979", "EPSG:4326"):
+        elif {declared, agreed} == WGS84 and _may_add_heights(sets.values(), stated):
+            agreed = "EPSG:4979"
+        elif declared != agreed:
             raise TermselError(
-                f"the file declares the CRS {declared}, but {source} says {agreed}", file=path,
-                hint="Correct one of them; termsel does not transform coordinates.")
+                f"the file declares the CRS {short(declared)}, but {source} says {short(agreed)}",
+                file=path,
+                hint=f"{'Leave --crs out' if stated else 'Transform one of the files'}, or correct "
+                     f"{'the file' if stated else 'what they declare'}; termsel does not transform "
+                     "coordinates.")
     return agreed or ""
+
+
+def _may_add_heights(sets: Iterable[FeatureSet], stated: str | None) -> bool:
+    """Return whether EPSG:4979 may stand for EPSG:4326, to which it adds the meaning of heights.
+
+    So says the user, or that nothing in EPSG:4326 has heights.
+    """
+    if stated is not None:
+        return stated == "EPSG:4979"
+    return not any(np.isfinite(features.ground_vertices()[:, 2]).any() for features in sets
+                   if features.crs and normalise(features.crs) == "EPSG:4326")
 
 
 def _require_crs(features: FeatureSet, files: Iterable[Path], may_turn: bool) -> None:

@@ -87,13 +87,14 @@ def _require_writable(file: Path, makes_folder: bool) -> None:
         folder = next(parent for parent in target.parents if os.path.lexists(parent))
     if not folder.is_dir():
         why = "there is no such folder" if not os.path.lexists(folder) else \
-            f"{folder} is no folder"
+            f"{folder} is a file, not a folder"
     elif not os.access(folder, os.W_OK | os.X_OK):
         why = f"no permission to write to the folder {folder}"
     else:
         return
     raise TermselError(f"cannot write this file: {why}", file=file,
-                       hint="Make the folder, or give another name.")
+                       hint="Make the folder, or give another name."
+                       if not os.path.lexists(folder) else "Give another name.")
 
 
 def _sources(reads: Iterable[object]) -> Iterator[Path]:

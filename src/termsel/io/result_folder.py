@@ -270,6 +270,11 @@ def _read_features(folder: Path, record: Record) -> FeatureSet:
     normalise(data.crs)
     # By the record: an earlier result in the same folder may have left a file that this has not.
     at_lines, at_points = (_place(folder, name) for name in (LINES, POINTS))
+    for path, count in ((at_lines, counts.lines), (at_points, counts.control + counts.check
+                                                   + counts.independent + counts.off)):
+        if count and not path.exists():
+            raise TermselError(f"the folder of this result lacks its file {path.name}",
+                               file=folder, hint=AGAIN)
     lines = LinesCsv().read(at_lines).lines if counts.lines else no_lines()
     points = PointsCsv().read(at_points).points if (
         counts.control or counts.check or counts.independent or counts.off) else no_points()

@@ -25,15 +25,19 @@ from termsel.plugins.registry import registry
 from termsel.results.result import Result
 from termsel.results.same_fit import fit_of_record
 
-AGAIN = "Run the search again."
+AGAIN = "Copy the whole folder again, or repeat the run."
 """What to do with a record that cannot be read."""
 
 
 def record_from(content: Any) -> Record:
     """Return the record that result.json holds; refuse what is damaged."""
-    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
-        raise TermselError(f"this is not a result with the schema {SCHEMA}",
-                           hint="Run the search again with this version of termsel.")
+    schema = content.get("schema") if isinstance(content, dict) else None
+    if schema != SCHEMA:
+        has = f"its schema is {schema!r:.60}" if schema is not None else "it states no schema"
+        raise TermselError(f"this is not a result that this version of termsel reads: {has}, "
+                           f"expected {SCHEMA!r}",
+                           hint="Repeat the run with this version, or read the result with the one "
+                                "that wrote it.")
     try:
         return convert(plain(content), Record)  # 1e999 is a number to JSON, not to us
     except RecursionError:

@@ -407,7 +407,7 @@ def _verdict(record: Record, own_rmse: float, rival_rmse: float) -> str:
         return "the search gains nothing"
     if rival_rmse > own_rmse:
         return f"the search is better by {100 * (1 - own_rmse / rival_rmse):.0f} %"
-    return "better; omit --problem, --solver"
+    return "better; leave out the search"
 
 
 def _conventional(record: Record, row: BaselineRow) -> Iterator[str]:

@@ -112,7 +112,7 @@ def fit_of_record(model: SensorModel, control: FeatureSet, scaling: Scaling, use
         if len(errors) != len(in_use.vertex_feature):
             raise TermselError(f"this result is damaged at fit.held_out: {len(errors)} errors, "
                                f"expected {len(in_use.vertex_feature)}",
-                               hint="Run the search again.")
+                               hint="Copy the whole folder again, or repeat the run.")
         held_out = HeldOut.of(errors, in_use)
     if trace is None and not estimator.least_squares:
         trace = np.nan

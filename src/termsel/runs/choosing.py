@@ -244,8 +244,7 @@ def _choose(clean: Observations, auto: Auto, watch: _Watch, seed: int) -> _Chose
             is_enough = view is choice
             choice = view
         if choice is None:
-            raise TermselError(_no_choice(auto, data), hint="Measure more, spread over the scene"
-                               + (", or choose another method." if auto.is_one_method else "."))
+            raise _no_choice(auto, data)
         errors: FloatArray | None = None
         if len(features.lines):
             from termsel.runs.owdis import with_selected_lines  # it searches
@@ -272,20 +271,25 @@ def _choose(clean: Observations, auto: Auto, watch: _Watch, seed: int) -> _Chose
         return _Chosen(best, exact=not is_enough, interrupted=True)
 
 
-def _no_choice(auto: Auto, data: FitData) -> str:
-    """Return why there is no choice: of a method that is asked for, what it says itself."""
-    features = f"the {len(data)} control and check {data.features.word}"
+def _no_choice(auto: Auto, data: FitData) -> TermselError:
+    """Return the error where there is no choice: of a method that is asked for, its own reason."""
+    features = f"the {len(data)} control and selection {data.features.word}"
+    more = "Measure more, spread over the scene"
     if not auto.is_one_method:
-        return f"{features} lie so that no model can be held against them"
+        return TermselError(f"{features} lie so that no model can be tested by them",
+                            hint=f"{more}.")
     method = auto.methods[0]
+    failure = f"{features} cannot test {method.title}"
     reason = method.declines(data)
+    if reason is not None:
+        return TermselError(f"{failure}: {reason}",
+                            hint="Or omit --method: the program then chooses one.")
+    reason = "it leaves no redundancy, or has a pole in the scene"
     try:
-        if reason is None:
-            method.fit(data)
+        method.fit(data)
     except Undetermined as error:
         reason = error.what
-    return (f"{features} cannot be held against {method.title}: "
-            f"{reason or 'it has no redundancy, or a pole in the scene'}")
+    return TermselError(f"{failure}: {reason}", hint=f"{more}, or choose another method.")
 
 
 def _strategy(choice: Choice, errors: FloatArray | None, predicted: Predicted | None,

@@ -207,6 +207,8 @@ def notes_on_data(read: FeatureSet, observations: Observations, heights: bool,
     yield from _note_on_two_groups(features)
     yield from _note_on_twins(features.points, independent)
     yield from _note_on_one_line(features)
+    if heights and not blank:
+        yield from _note_on_blank_among_others(features)
     if heights and len(features) > 1 and not features.without_height():
         yield from _note_on_carriers(features, observations.carriers)
         yield from (_note_on_flat(observations.joint, independent) if fitted is None
@@ -219,6 +221,15 @@ def notes_on_dem(features: FeatureSet, fitted: Fit) -> Iterator[str]:
     difference = features.dem_difference
     if difference is not None and difference.contradicts:
         yield difference.sentence(pixels_of(difference, fitted.control, fitted.project))
+
+
+def _note_on_blank_among_others(features: FeatureSet) -> Iterator[str]:
+    """Yield that heights were not used, as some features have none."""
+    missing = features.without_height()
+    if 0 < len(missing) < len(features):
+        yield (f"{len(missing)} of {len(features)} {features.word} have no height, so the heights "
+               f"of the others were not used: {first_of(missing)}. Take those that are missing "
+               "from a raster (--dem FILE).")
 
 
 def _note_on_two_groups(features: FeatureSet) -> Iterator[str]:

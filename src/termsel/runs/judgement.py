@@ -79,7 +79,7 @@ def judge(conventional: str, criterion: str, rmse: Rmses,
         size = _px(_independent(best))
         if ratio > ALIKE_RATIO and (blunders or not method.is_plain):
             sentences.append(f"The automatic choice, {title}, is {times(ratio)} better ({size}): "
-                             "omit --problem and --solver.")
+                             "omit --problem, --solver and --model.")
         elif ratio > ALIKE_RATIO:
             sentences.append(f"A simpler model, {title}, is {times(ratio)} better ({size}).")
         elif ratio > 1 / ALIKE_RATIO:

@@ -70,9 +70,10 @@ def require_enough(observations: Observations, recipe: Recipe, criterion: Criter
     control = observations.control
     check = observations.check
     if len(control) < fewest:
+        noun = f"control {control.word.removesuffix('s')}"
         others = _others_in_words(observations)
         raise TermselError(
-            f"{_given(control)}{others}; {recipe.name} needs at least {fewest}",
+            f"{_given(control)}{others}; {recipe.name} needs at least {counted(fewest, noun)}",
             hint=("Measure more, or give more features the role control." if others
                   else "Measure more.")
                  + " Or choose by leave-one-out, without selection points: --criterion press."
@@ -575,4 +576,5 @@ def fewest_features(features: FeatureSet, auto: Auto) -> int:
 def require_alone(method: object, words: list[str]) -> None:
     """Refuse a method next to what is asked for of a search, in words."""
     if method is not None and words:
-        raise TermselError(f"a method is asked for, and {words[0]}", hint="Leave one of them out.")
+        raise TermselError(f"a method is given, and {words[0]}, which is of a search",
+                           hint="Leave one of them out.")

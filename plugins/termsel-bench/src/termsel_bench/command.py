@@ -191,7 +191,7 @@ def _run(methods: Sequence[Method], names: Sequence[str], real: Path | None, pro
         of_method = [score for score in scored if score.method.title == title]
         # A method that fails everywhere says why, once.
         if all(score.why for score in of_method):
-            echo(f"{title} has no result on any set: {of_method[0].why}.")
+            echo(f"{title} has no result on any set: {of_method[0].why.rstrip('.')}.")
     if folder is not None:
         _write(scored, folder, methods[0].title)
 

@@ -98,7 +98,7 @@ def _read(path: Path, packages: Sequence[str]) -> Submitted:
     """Return the results of a method in a file, checked."""
     def refused(problem: str) -> TermselError:
         return TermselError(f"{path} {problem}",
-                            hint="Write it again with `termsel bench --out DIR`.")
+                            hint="Give what `termsel bench --out DIR` wrote.")
 
     try:
         content: Any = json.loads(read_text(path))
@@ -112,8 +112,11 @@ def _read(path: Path, packages: Sequence[str]) -> Submitted:
         rmse = {str(name): None if of_set["rmse"] is None else float(of_set["rmse"])
                 for name, of_set in sets.items()}
         sums = {str(name): of_set["sha256"] for name, of_set in sets.items()}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise refused(f"is no file of results: {raised(error)}") from error
+    except KeyError as error:
+        raise refused(f"is no file of results of a benchmark: it has no {error.args[0]!r}"
+                      ) from error
+    except (OSError, ValueError, TypeError, AttributeError) as error:
+        raise refused(f"is no file of results of a benchmark: {raised(error)}") from error
     if method.kind not in METHOD_KINDS:
         raise refused(f"names a method of the kind {method.kind!r}")
     if method.kind == "package" and method.name not in packages:

@@ -21,15 +21,15 @@ _PATH = click.Path(path_type=Path)
 
 @click.command("map-series")
 @click.argument("sheets", nargs=-1, required=True, type=_PATH, metavar="SHEETS...")
-@click.option("--crs", metavar="CRS", default="EPSG:4326", show_default=True,
-              help="CRS of the points of all sheets.")
+@click.option("--crs", metavar="CRS",
+              help="CRS of the points of all sheets; by default what they declare, else EPSG:4326.")
 @click.option("--prime-meridian", metavar="NAME", help="Meridian that their longitudes count from.")
 @click.option("--candidates", type=_PATH, metavar="FILE",
               help="Projections to choose from, a CRS a line.")
 @click.option("--century", type=click.IntRange(15, 21), help="Century of the maps.")
 @click.option("--output", "-o", type=_PATH, metavar="FILE.json",
               help="File of the series to write; the option series takes it.")
-def map_series(sheets: tuple[Path, ...], crs: str, prime_meridian: str | None,
+def map_series(sheets: tuple[Path, ...], crs: str | None, prime_meridian: str | None,
                candidates: Path | None, century: int | None, output: Path | None) -> None:
     """Find what all sheets of a series share: their projection, and what their paper is like.
 
@@ -43,10 +43,14 @@ def map_series(sheets: tuple[Path, ...], crs: str, prime_meridian: str | None,
       termsel map-series sheets/*.csv --candidates mine.txt -o series.json
       termsel compare --points 'sheets/*.csv' --crs EPSG:4326 --set series=series.json --out result
     """
+    from termsel_cameras.sheets.meridians import meridian_of
     from termsel_cameras.sheets.series_file import series_of
 
-    meridian = {} if prime_meridian is None else {"prime_meridian": prime_meridian}
-    read_sheets = [read(sheet, crs=crs, **meridian) for sheet in sheets]
+    meridian = {}
+    if prime_meridian is not None:
+        meridian_of(prime_meridian)  # refused before any sheet is
+        meridian["prime_meridian"] = prime_meridian
+    read_sheets = [_read_sheet(sheet, crs, meridian) for sheet in sheets]
     projection = "" if all(sheet.crs in ("", LOCAL) for sheet in read_sheets) \
         else _chosen_projection(read_sheets, candidates, century)
     series = series_of(read_sheets, projection)
@@ -54,6 +58,16 @@ def map_series(sheets: tuple[Path, ...], crs: str, prime_meridian: str | None,
     if output is not None:
         write_text(output, series.text())
         say_written([output])
+
+
+def _read_sheet(sheet: Path, crs: str | None, meridian: dict[str, str]) -> FeatureSet:
+    """Return the points of a sheet; without any CRS they are longitudes and latitudes."""
+    try:
+        return read(sheet, crs=crs, **meridian)
+    except TermselError as error:
+        if crs is not None or "--crs" not in error.options:
+            raise
+    return read(sheet, crs="EPSG:4326", **meridian)
 
 
 def _chosen_projection(sheets: list[FeatureSet], candidates: Path | None,
@@ -130,7 +144,7 @@ def flight_camera(photos: tuple[Path, ...], crs: str | None, size: tuple[int, in
                "distortion": [round(camera.k1, 8)],
                "source": f"{camera.photos} photos, {camera.points} control points"}
     write_text(output, json.dumps(content, indent=2) + "\n")
-    echo(f"Focal length {camera.focal:,.1f} px, to {100 * camera.spread:.2g} %; "
-         f"k1 {camera.k1:.3g}; "
-         f"{camera.sigma:.2g} px of {camera.points} points in {counted(camera.photos, 'photo')}.")
+    echo(f"Focal length {camera.focal:,.1f} px, standard deviation {100 * camera.spread:.2g} %; "
+         f"radial distortion k1 {camera.k1:.3g}; residuals {camera.sigma:.2g} px at "
+         f"{camera.points} points in {counted(camera.photos, 'photo')}.")
     say_written([output])

@@ -299,7 +299,8 @@ def auto_georeference(context: click.Context, /, image: Path, output: Path, fold
     refuse_output(output, options["overwrite"], image, dem, *options.values())
     # Required only here: other commands share the option.
     if dem is None:
-        raise TermselError("auto-georeference requires heights", hint="Give --dem FILE.")
+        raise TermselError("auto-georeference needs the heights of the ground: no DEM is given",
+                           hint="Give a raster of heights: --dem FILE.")
     refuse_folder(folder)
     show_log()
     with bar("match", quiet) as progress:

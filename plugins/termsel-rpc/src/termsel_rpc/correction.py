@@ -179,7 +179,8 @@ class CorrectedRpc(Method):
         """Return why the RPC is not one of this image, or the features cannot correct it."""
         rpc = control.features.rpc
         if rpc is None:
-            return "no RPC is given"
+            return ("no RPC is given. Give it with --rpc FILE, or --image FILE of an image that "
+                    "has one")
         missing = control.features.without_height()
         if missing:
             return (f"it needs ellipsoidal heights, and {missing[0]} has none (--dem FILE takes "

@@ -180,10 +180,12 @@ def read_errors(path: Path | str) -> GroundErrors:
         raise TermselError(f"this table cannot be read: {error}", file=path,
                            hint="Save it again as CSV.") from None
     if not rows or not {"dx", "dy"} <= set(rows[0]):
-        header = f"The columns here are: {', '.join(filter(None, rows[0]))}. " if rows else ""
-        raise TermselError("this is no table of errors with the columns dx and dy", file=path,
+        names = [name for name in rows[0] if name and not name.startswith("#")] if rows else []
+        header = f"The columns here are: {', '.join(names)}. " if names else ""
+        raise TermselError("this is no table of errors: it has no columns dx and dy", file=path,
                            hint=f"{header}dx and dy are computed minus surveyed positions [m]: "
-                                "id,dx,dy or id,dx,dy,dz,x,y,sigma_x,sigma_y,sigma_z.")
+                                "id,dx,dy or id,dx,dy,dz,x,y,sigma_x,sigma_y,sigma_z. For the "
+                                "accuracy of a run give its folder: termsel accuracy DIR.")
     ids = tuple(row.get("id", "").strip() or str(i) for i, row in enumerate(rows, 1))
     # A column of heights that is all blank is none.
     axes = AXES if any(row.get("dz", "").strip() for row in rows) else AXES[:2]

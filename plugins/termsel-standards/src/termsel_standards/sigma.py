@@ -153,8 +153,11 @@ def _grid(result: Result, like_map: Path | str | None, bounds: Sequence[float] |
     if like_map is not None:
         with open_raster(like_map) as raster:
             if raster.crs is None or raster.transform.b or raster.transform.d:
-                raise TermselError("this raster is no map with north up", file=like_map,
-                                   hint="Give a map that termsel rectify wrote.")
+                why = "has no CRS" if raster.crs is None else "does not have north up"
+                raise TermselError(f"this raster {why}, so it is no map to take pixels from",
+                                   file=like_map,
+                                   hint="Give a map that termsel rectify wrote, or leave --map "
+                                        "out: the raster then covers the image.")
             target = raster.crs.to_wkt()
             bounds = tuple(raster.bounds)
     else:
@@ -172,8 +175,11 @@ def _grid(result: Result, like_map: Path | str | None, bounds: Sequence[float] |
         resolution = float(f"{max(east - west, north - south) / _USUAL:.1g}")
     samples, lines = (max(round(extent / resolution), 1) for extent in (east - west, north - south))
     if max(samples, lines) > _LARGEST:
+        usual = float(f"{max(east - west, north - south) / _USUAL:.1g}")
         raise TermselError(f"with pixels of {resolution:g} the raster would have {lines} lines and "
-                           f"{samples} samples", hint="Give a larger --res, or smaller --bounds.")
+                           f"{samples} samples",
+                           hint=f"Give a larger --res, such as {usual:g} in units of the "
+                                "CRS, or smaller --bounds.")
     return MapGrid(target, lines, samples, Affine(resolution, 0.0, west, 0.0, -resolution, north))
 
 

@@ -24,6 +24,8 @@ SHIFT_CHANCE = 1 / 400
 """Probability of a mean as far off by chance below which a note says so."""
 SHIFT_POINTS = 10
 """Check points below which the mean is not tested."""
+IMPLAUSIBLE = 2.0
+"""RMSE of a survey by that of errors against it, from which on one of both is wrong."""
 MEAN = 0.25
 """ASPRS: largest mean error, as a share of the RMSE of the class."""
 QUADRANT, MIN_DISTANCE = 0.2, 0.1
@@ -238,8 +240,12 @@ def statements_of(ground_errors: GroundErrors, horizontal_class: float | None = 
     flat = "not stated, as no heights were tested"
     by_nssda = nssda(n, figures)
     too_few = f"{counted(n, 'independent point')}, at least {NSSDA_POINTS} needed"
+    horizontal = _asprs("horizontal", n, with_survey, horizontal_class)
+    if survey_horizontal is not None and survey_horizontal > IMPLAUSIBLE * figures.total:
+        horizontal = Statement("ASPRS horizontal", None, "not stated, as the error stated for the "
+                               "survey is larger than the errors found, which contain it")
     statements = (
-        _asprs("horizontal", n, with_survey, horizontal_class),
+        horizontal,
         _asprs("vertical", n, height, vertical_class),
         _asprs("three-dimensional", n, None if height is None else hypot(with_survey, height),
                None),
@@ -382,6 +388,10 @@ def _notes(ground_errors: GroundErrors, total: float, survey: float | None,
     if survey is None:
         notes.append("The error of the survey is not known and not included: give columns sigma_x "
                      "and sigma_y, or --survey-sigma.")
+    elif survey > IMPLAUSIBLE * total:
+        notes.append(f"The survey is said to be off by {_size(survey)} m, and the errors found are "
+                     f"{_size(total)} m. Check --survey-sigma or the columns sigma_x and sigma_y: "
+                     "they are in metres.")
     elif survey > total / 2:
         notes.append("The check points are not twice as accurate as what they test.")
     notes += [f"Check points: {fault}." for fault in distribution.faults]

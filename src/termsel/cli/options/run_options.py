@@ -349,6 +349,13 @@ def with_files(files: Sequence[Path], arguments: Mapping[str, Any]) -> dict[str,
 
 def _two_of_one_kind(kind: str, first: Path, second: Path) -> TermselError:
     """Return the error for two files of one kind."""
+    for path in (first, second):
+        if path.is_dir():
+            return TermselError("this is a folder, and a run takes files", file=path,
+                                hint="Give the file of points within it, and the result a folder "
+                                     "of its own: --out DIR.")
+    if first == second:
+        return TermselError(f"{first} is given twice", hint="Give it once.")
     hint = "Name each file: --points FILE, --lines FILE, --image FILE, --rpc FILE, --dem FILE."
     if kind == "points":
         hint = "Points of one image: join them in one table. Points of two images: termsel " \

@@ -175,8 +175,8 @@ def refused_format(path: object, head: bytes, of: object = None) -> TermselError
         hint = f"{hint} {DRIVER_HINT.format(name=name)}"
     elif _is_text(head):
         reason = "this is a file of text, not a raster"
-        hint = "Give a raster, such as a GeoTIFF. A table of points is given with --points, " \
-               "an RPC with --rpc."
+        hint = "Give a raster, such as a GeoTIFF. Tables of points and RPCs are for termsel run: " \
+               "--points FILE, --rpc FILE."
     else:
         reason = "this is no raster of a format that termsel opens"
     if of is not None and str(of) != str(path):

@@ -35,6 +35,7 @@ MIRRORED = 3  # points from which on it shows next to other images
 _UPWARDS = "line numbers grow to the north"
 _UNLIKE = 0.2  # share of the image coordinates' variance that relief and distortion may leave
 _FLAT = 0.05  # ratio of the axes of what a matrix makes of a circle, below which nothing tells
+_NO_DEGREES = 360.0  # beyond which no longitude is
 _WIDE = 20.0  # degrees that a scene may be wide
 _SENSOR = "sensor"  # column that names what took the image
 _AREA_MARGIN = 5.0  # degrees outside the area of a CRS at which features may still be
@@ -91,6 +92,8 @@ def unknown_crs(features: FeatureSet, may_turn: bool) -> TermselError:
                          hint=f"State it with --crs: {EXAMPLES}.")
     ground = features.ground_vertices()
     plane = ground[:, :2]
+    if len(ground) and np.abs(plane).max() > _NO_DEGREES:
+        error.hint = f"{error.hint} x and y are no degrees: name the CRS of the map they are from."
     # Degrees are below 180, and those of one scene close to each other.
     if not len(ground) or np.abs(plane).max() > 180 or np.ptp(plane, axis=0).max() > _WIDE \
             or np.hypot(*plane.mean(axis=0)) < _WIDE:  # near 0, 0: rather metres of an own plane
@@ -181,7 +184,9 @@ def _matrix(features: FeatureSet, fewest: int) -> FloatArray | None:
     middle = image_vertices.mean(axis=0)
     # Unknowns are the rows a, b of [sample; up] = [a; b] (east, north, 1).
     zero = np.zeros((len(points), 3))
-    size = max(float(np.abs(image_vertices - middle).max()), np.finfo(float).tiny)
+    size = float(np.abs(image_vertices - middle).max())
+    if size == 0.0:  # all at one place in the image
+        return None
     of_points = design[:len(points)]
     sample, up = ((points.image - middle) / size).T[::-1] * [[1.0], [-1.0]]
     first, second = ((end - middle) / size for end in (lines.image[:, 0], lines.image[:, 1]))

@@ -7,7 +7,15 @@ from itertools import pairwise
 import numpy as np
 
 from termsel.core.errors import TermselError, counted, first_of
-from termsel.data.coordinates.crs import UTM, kind_of, normalise, short, transformation
+from termsel.data.coordinates.crs import (
+    UTM,
+    body_of,
+    ellipsoid_of,
+    kind_of,
+    normalise,
+    short,
+    transformation,
+)
 from termsel.data.coordinates.metres import is_in_degrees
 from termsel.data.features import BoolArray, FeatureSet, FloatArray
 
@@ -15,6 +23,7 @@ _NEAR = 1000.0  # metres from the origin of a CRS
 _DEGREE_RANGE = ((-180.0, -90.0), (360.0, 90.0))
 _WITH_ZONE = {31: "EPSG:5649", 32: "EPSG:4647", 33: "EPSG:5650"}  # zE-N
 _FOOT = 0.3048  # m
+_FROM_SURFACE = 0.05  # share of the radius by which no ground is from the surface
 # Generous: scenes reach into the next zone, and some producers keep northern zones with
 # negative northings south of the equator.
 _UTM_RANGE = {"6": ((0.0, -9.4e6), (1e6, 9.4e6)), "7": ((0.0, 0.0), (1e6, 10.5e6))}
@@ -25,11 +34,12 @@ def check_ground(features: FeatureSet) -> None:
 
     Longitudes outside -180 to 360 or latitudes outside -90 to 90 degrees in a geographic CRS,
     coordinates that look like degrees in a projected one, and eastings or northings that no UTM
-    zone has.
+    zone has; in a geocentric CRS positions far from the surface of the body.
     """
     crs = normalise(features.crs)
     kind = kind_of(crs)
-    xy = features.ground_vertices()[:, :2]
+    ground = features.ground_vertices()
+    xy = ground[:, :2]
     if not len(xy):
         return
     if kind == "geographic":
@@ -38,6 +48,8 @@ def check_ground(features: FeatureSet) -> None:
                 "x must be longitude and y latitude, in degrees.")
         _check_range(xy, features, *_DEGREE_RANGE,
                      f"cannot be longitude and latitude in {crs}", hint)
+    elif kind == "geocentric":
+        _check_distance(ground, features, crs)
     elif kind == "projected":
         _check_metres(xy, features, crs)
         utm = UTM.fullmatch(crs)
@@ -45,6 +57,25 @@ def check_ground(features: FeatureSet) -> None:
             _check_range(xy, features, *_UTM_RANGE[utm[1]],
                          f"cannot be easting and northing in {crs} (UTM)",
                          _hint_of_utm(xy, int(crs[-2:]), *_UTM_RANGE[utm[1]]))
+
+
+def _check_distance(ground: FloatArray, features: FeatureSet, crs: str) -> None:
+    """Refuse positions in a geocentric CRS that are far below or above the surface."""
+    distance = np.linalg.norm(ground, axis=1)
+    radius = ellipsoid_of(crs)[0]
+    # A height that is not known, and so the distance, is refused elsewhere.
+    is_far = np.abs(distance / radius - 1.0) > _FROM_SURFACE
+    if not is_far.any():
+        return
+    first = int(np.argmax(is_far))
+    name, column = _vertex(features, first, 0)
+    look_like_degrees = bool((np.abs(ground[:, :2]) <= (360, 90)).all())
+    hint = "These look like longitude, latitude and height: state --crs EPSG:4979." \
+        if look_like_degrees else "x, y and z must be metres from the centre."
+    raise TermselError(
+        f"{_values(ground, name, first)}, z = {ground[first, 2]:.10g} is {distance[first]:.5g} m "
+        f"from the centre of {body_of(crs)}, from which {short(crs)} counts; its surface is "
+        f"{radius:.5g} m away", ids=[name], column=column, hint=hint)
 
 
 def _hint_of_utm(xy: FloatArray, zone: int, low: tuple[float, float],
@@ -80,8 +111,9 @@ def _check_metres(xy: FloatArray, features: FeatureSet, crs: str) -> None:
         hint = "Transform these features to the CRS of the others, or remove them."
     else:
         problem = "the ground coordinates look like degrees"
-        hint = ("State --crs EPSG:4979 for longitude, latitude and ellipsoidal height, or --crs "
-                "local for plane coordinates without a CRS.")
+        hint = (f"Where {short(crs)} is stated, in the file or by --crs, state EPSG:4979 for "
+                "longitude, latitude and ellipsoidal height, or local for plane coordinates "
+                "without a CRS.")
     first = int(np.argmax(degrees))
     name, column = _vertex(features, first, 0)
     raise TermselError(

@@ -140,6 +140,12 @@ def _with_readings(error: TermselError, header: Sequence[str], rows: Sequence[Se
                    readings: Sequence[dict[str, int]], known_columns: Mapping[str, int],
                    aliases: Aliases, fixed: Collection[int]) -> TermselError:
     """Return an error with readings as texts of --columns; what is not known are guesses."""
+    # One column has one meaning.
+    single = [reading for reading in readings
+              if len(set(reading.values())) == len(reading.values())]
+    if not single:
+        return error
+    readings = single
     texts = [_columns_option(reading, header, aliases, fixed) for reading in readings]
     before = error.hint or ""
     # No reading has all columns; a point read so could not be shown.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterable
 from itertools import chain
+from math import isfinite
 from pathlib import Path
 
 import numpy as np
@@ -51,7 +52,11 @@ class GeoJsonLines(Reader):
     def read(self, path: Path) -> FeatureSet:
         """Return the lines; errors name file, feature and property."""
         features, crs = read_geojson(path, _GEOMETRIES)
-        return _join_image_lines(path, features, crs or "EPSG:4326", **self.options)
+        has_heights = any(isfinite(vertex[2]) for feature in features
+                          for vertices in feature.vertex_lists for vertex in vertices)
+        # RFC 7946: longitude, latitude and, where there is one, the height above the ellipsoid.
+        return _join_image_lines(
+            path, features, crs or ("EPSG:4979" if has_heights else "EPSG:4326"), **self.options)
 
 
 class VectorLines(Reader):
@@ -73,15 +78,27 @@ class VectorLines(Reader):
         return _join_image_lines(path, features, crs, **options)
 
 
+def _no_join(path: Path, join: str, names: list[str], has_image_lines: bool) -> TermselError:
+    """Return the error for ground lines without the property that tells which is which."""
+    known = f"Their properties are {', '.join(names)}. " if names else "They have no properties. "
+    example = names[0] if len(names) == 1 else "PROPERTY"
+    needed = "" if has_image_lines else \
+        " The lines in the image are a table of their own: --image-lines FILE."
+    error = TermselError(f"the ground lines have no property {join!r} that names each line",
+                         file=path, hint=f"{known}Say which one does: --set join={example}.{needed}"
+                         if names else f"{known}Give each line a property {join!r}.{needed}")
+    if len(names) == 1 and has_image_lines:
+        error.options["--set"] = f"join={names[0]}"
+    return error
+
+
 def _join_image_lines(path: Path, features: list[Feature], crs: str, image_lines: str | None,
                       join: str) -> FeatureSet:
     """Return ground lines with their image lines, pieces of one feature under its id."""
     if not any(join in feature.properties for feature in features):
         names = list(dict.fromkeys(chain.from_iterable(
             feature.properties for feature in features)))
-        raise TermselError(f"the ground lines have no {join!r}", file=path, column=join,
-                           hint=f"They have {', '.join(names) or 'no properties'}. Choose one with "
-                                "--set join=NAME.")
+        raise _no_join(path, join, names, image_lines is not None)
     ground: dict[str, list[FloatArray]] = {}
     described: dict[str, list[dict[str, str]]] = {}
     image = {} if image_lines is None else _read_image_lines(Path(image_lines))

@@ -339,6 +339,18 @@ def _ambiguous(path: Path | None, line: int | None, header: Sequence[str], meani
 def _missing(path: Path | None, line: int | None, header: Sequence[str], meaning: str,
              aliases: Aliases) -> TermselError:
     """Return the error for a meaning that no column has."""
+    if meaning == "x1" and "line1" in {cell.strip().casefold() for cell in header}:
+        return TermselError(
+            "this table has lines in the image alone, without their ground coordinates", file=path,
+            line=line, column=meaning,
+            hint="Add the columns x1, y1, z1, x2, y2, z2. Or give the ground lines of a GIS, and "
+                 "this table as their image lines: --lines GROUND.geojson --image-lines "
+                 f"{path or 'FILE'}.")
+    numbers = sum(_is_number(cell) for cell in header)
+    if numbers > len(header) / 2:
+        return TermselError(
+            "the first line has numbers where the columns should be named", file=path, line=line,
+            hint=f"Put a line of names above it, such as {','.join(aliases)}.")
     # Names of termsel itself; there are hundreds in other languages and of other programs.
     names = [name for name in aliases[meaning] if name in TAKEN] or aliases[meaning]
     blank = " Its cells may be blank." if meaning[0] == "z" else ""
@@ -346,6 +358,14 @@ def _missing(path: Path | None, line: int | None, header: Sequence[str], meaning
         f"there is no column for {meaning}", file=path, line=line, column=meaning,
         hint=f"The columns here are: {', '.join(cell.strip() for cell in header)}. "
              f"Accepted names: {', '.join(names)}, and others.{blank}")
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
 
 
 def _exclude_each_other(rows: Sequence[Sequence[str]], columns: Sequence[int]) -> bool:

@@ -128,9 +128,17 @@ def _matching_files(spec: Spec, source: Source, kind: str, patterns: tuple[str, 
         names = _glob_files(pattern, folder) if wild else [pattern]
         if not names or (not wild and not os.path.exists(folder / pattern)):
             raise spec.places.error((*source.path, kind), f"no file matches {pattern!r} in "
-                                    f"{folder.resolve()}", "Check the name and the folder.")
+                                    f"{folder.resolve()}", _how_to_name(pattern, kind, folder))
         files += [Path(name).as_posix() for name in names]
     return list(dict.fromkeys(files))
+
+
+def _how_to_name(pattern: str, kind: str, folder: Path) -> str:
+    """Return what to do about a pattern that no file matches."""
+    names = [name.strip() for name in pattern.split(",")]
+    if len(names) > 1 and all(os.path.exists(folder / name) for name in names):
+        return f"Separate files by --{kind}: --{kind} {f' --{kind} '.join(names)}."
+    return "Check the name and the folder."
 
 
 def _glob_files(pattern: str, folder: Path) -> list[str]:

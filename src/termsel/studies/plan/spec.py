@@ -294,5 +294,5 @@ def _budget(at: Places, limits: Mapping[str, Any]) -> dict[str, Any]:
         if not number or not 0 < value <= 1e12 or (BUDGETS[key] is int and value != int(value)):
             raise at.error(path, f"the budget of {value} {key} is not positive, or above 1e12"
                            if number
-                           else f"{key} is not a number")
+                           else f"{key} is {value!r}, expected a number above 0")
     return {key: BUDGETS[key](value) for key, value in limits.items()}

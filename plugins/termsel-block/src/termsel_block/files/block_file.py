@@ -210,6 +210,11 @@ def _check_names(names: Sequence[str], path: Path) -> None:
 
 def _read_image(stated: _Image, folder: Path, crs: str, dem: Path | None, path: Path) -> BlockImage:
     """Return an image with its files read."""
+    for key in ("points", "lines", "rpc", "image"):
+        file = getattr(stated, key)
+        if file and not (folder / file).exists():
+            raise TermselError(f"the file {file!r}, {key} of image {stated.name!r}, does not exist",
+                               file=path, hint=f"Its place is counted from {folder.resolve()}.")
     raster = folder / stated.image if stated.image else None
     size = None
     if raster is not None:

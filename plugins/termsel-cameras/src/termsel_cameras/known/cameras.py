@@ -103,13 +103,14 @@ def camera_named(name: str) -> SurveyCamera | dict[str, Any]:
     try:
         content = json.loads(read_text(path))
     except (OSError, UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
-        raise TermselError(f"{path} cannot be read as JSON: {error}",
-                           hint="Give a camera file.") from error
+        raise TermselError(f"this camera file cannot be read as JSON: {error}", file=path,
+                           hint="Give a camera file, such as {\"focal\": 3131.8}.") from error
     fields = f"Fields of a camera file are {', '.join(FIELDS)}."
     if not isinstance(content, dict) or "focal" not in content:
-        raise TermselError(f"{path} has no field 'focal'", hint=fields)
+        raise TermselError("this camera file has no field 'focal', the focal length [px]",
+                           file=path, hint=fields)
     for name_of_field in content:
         if name_of_field not in FIELDS:
-            raise TermselError(f"{path} has the field {name_of_field!r}, which no camera file has",
-                               hint=fields)
+            raise TermselError(f"the field {name_of_field!r} is unknown in camera files",
+                               file=path, hint=fields)
     return content

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from difflib import get_close_matches
+
 from termsel import TermselError
 
 MERIDIANS: dict[str, float] = {
@@ -42,6 +44,9 @@ def meridian_of(text: str) -> float:
     except ValueError:
         degrees = float("nan")
     if not -180.0 <= degrees <= 180.0:
+        near = get_close_matches(name, MERIDIANS, n=1, cutoff=0.6)
+        guess = f"Did you mean {near[0]}? " if near else ""
         raise TermselError(f"there is no prime meridian {text!r:.40}",
-                           hint=f"Give degrees from Greenwich, or one of {', '.join(MERIDIANS)}.")
+                           hint=f"{guess}Give degrees from Greenwich, or one of "
+                                f"{', '.join(MERIDIANS)}.")
     return degrees

@@ -59,7 +59,13 @@ def check(file: Path, folder: Path | None, as_json: bool, final: bool | None) ->
                                hint="Leave the options out.")
         sys.exit(main([str(file)]))
     result = None if folder is None else read_result(folder)
-    deviations, answers = compared(file, result, final=final)
+    try:
+        deviations, answers = compared(file, result, final=final)
+    except TermselError as error:
+        if "a file of text" in error.what:
+            error.hint = ("Give an image, or a file beside one, such as a world file, an RPC or an "
+                          ".aux.xml. Points are for termsel run.")
+        raise
     if as_json:
         print_json({"programs": [asdict(deviation) for deviation in deviations],
                     "absent": list(answers.absent), "failed": list(answers.failed)})

@@ -45,9 +45,11 @@ def raster_of(path: Path, result: Result | None) -> Iterator[Path]:
         return
     size = None if result is None else result.features.image_size
     if size is None:
-        raise TermselError("this file belongs to an image, and none of its name is beside it",
-                           file=path, hint="Put the image beside it, or give --result with a run "
-                                           "that knows the size of its image.")
+        raise TermselError("this file belongs to an image, and no image of its name lies beside it",
+                           file=path, hint="Put the image beside it, or give --result DIR of a run "
+                           "with --image." if result is None else
+                           "Put the image beside it: the run of --result does not know its size, "
+                           "as it had no --image.")
     with private_folder() as folder:
         image = folder / ("image.tif" if match else Path(stem).with_suffix(".tif").name)
         _empty(image, size)

@@ -121,8 +121,8 @@ class WorldFileWriter(PointsWriter):
         write_text(path, "".join(f"{float(number)!r}\n" for number in numbers))
         say_deviation(self.name, fitted, ground, _into_image(ground, numbers, matrix))
         crs = result.features.crs
-        log.info("A world file does not name its CRS: %s.",
-                 "plane coordinates" if crs == LOCAL else horizontal(crs))
+        log.info("A world file does not name its CRS. It is %s.",
+                 "that of plane coordinates" if crs == LOCAL else horizontal(crs))
 
 
 def _into_image(ground: FloatArray, numbers: tuple[float, ...], matrix: FloatArray) -> FloatArray:

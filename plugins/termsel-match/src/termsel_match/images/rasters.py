@@ -180,7 +180,8 @@ def open_picture(path: Path | str, band: int | None = None) -> Iterator[GreyRast
     with open_raster(path) as raster:
         if band is not None and not 1 <= band <= raster.count:
             raise TermselError(f"this raster has no band {band}", file=path,
-                               hint=f"Give a band from 1 to {raster.count}.")
+                               hint=f"Give a band from 1 to {raster.count}."
+                               if raster.count > 1 else "It has one band: leave --band out.")
         refuse_empty_giant(raster)
         visible = tuple(index for index, kind in zip(raster.indexes, raster.colorinterp,
                                                      strict=True) if kind != ColorInterp.alpha)

@@ -151,6 +151,7 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
 
     correction = Correction(model, options)
     n_terms = len(fitted(correction, ~independent).terms)
+    _require_control(roles, n_terms)
     # The search finds a few candidates that determine a model with which many agree.
     picked = np.isin(points.ids, searched(
         "rpc-gcps", with_roles, model, {
@@ -205,6 +206,16 @@ def _options_for_all_control(features: FeatureSet) -> dict[str, Any]:
     """Return options by which all control is used: there is no better selection to prove."""
     control = features.points.take(np.array(features.points.roles, dtype=object) == "control")
     return {"min_features": len(features.with_(points=control)), "blunders": "keep"}
+
+
+def _require_control(roles: Any, n_terms: int) -> None:
+    """Require that enough candidates were drawn as control to search among them."""
+    control = int((roles == "control").sum())
+    if control < max(6, n_terms):
+        raise TermselError(f"not enough candidates: {len(roles)} found, of which {control} can be "
+                           f"control, and the correction needs at least {max(6, n_terms)}",
+                           hint="Give a start that is nearer, a larger --search, or a reference "
+                                "that looks more like the image.")
 
 
 def _require(agrees: Mask, roles: Any, n_terms: int) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from termsel import Lines, TermselError
+from termsel.toolkit import counted
 from termsel_match.images.rasters import FloatArray, open_picture
 from termsel_match.images.starts import Start, start_of
 from termsel_match.lines.ridges import bands
@@ -92,10 +93,11 @@ def match_lines(
                 progress((i + 1) / len(straight_pieces.image))
     n_with_band = sum(map(bool, of_pieces))
     if n_with_band < LEAST_PIECES:
-        raise TermselError(f"not enough candidates: {n_with_band} pieces of vectors have a band in "
-                           f"the image, at least {LEAST_PIECES} needed", file=image,
-                           hint="Do the vectors show what can be seen? Is the start off by more "
-                                "than --search?")
+        raise TermselError(f"not enough candidates: {counted(n_with_band, 'piece')} of the vectors "
+                           f"{'was' if n_with_band == 1 else 'were'} found in the image, at least "
+                           f"{LEAST_PIECES} are needed", file=image,
+                           hint="Give vectors of what the image shows, a start that is nearer, or "
+                                "a larger --search.")
     rows = []
     for i, several in enumerate(of_pieces):
         rows += [(i, k, ridge) for k, ridge in enumerate(several)]
