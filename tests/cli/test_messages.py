@@ -204,6 +204,63 @@ def test_a_folder_with_results_inside_names_them(tmp_path: Path) -> None:
     assert f"one of these within it: {folders}" in refused("report", str(tmp_path))
 
 
+OF_OTHER_PROGRAMS = {"--file", "--formats"}
+"""Options of pyproj sync and gdalinfo, which messages name with their command."""
+
+
+def texts_of(call: ast.Call) -> Iterator[str]:
+    """Yield the texts among the arguments of a call, f-strings without what they format."""
+    for node in ast.walk(call):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield node.value
+
+
+def messages() -> Iterator[tuple[str, str]]:
+    """Yield where a message is made, and a piece of its text."""
+    for path in [*ROOT.glob("src/**/*.py"), *ROOT.glob("plugins/*/src/**/*.py")]:
+        text = path.read_text(encoding="utf-8")
+        for node in ast.walk(ast.parse(text)):
+            if not isinstance(node, ast.Call):
+                continue
+            function = node.func
+            name = function.attr if isinstance(function, ast.Attribute) else \
+                function.id if isinstance(function, ast.Name) else ""
+            if name in ("TermselError", "Undetermined", "BadCell", "warning", "info", "echo"):
+                for piece in texts_of(node):
+                    yield f"{path.relative_to(ROOT)}:{node.lineno}", piece
+
+
+def test_options_that_messages_name_are_options_of_some_command() -> None:
+    known = OF_OTHER_PROGRAMS.union(
+        name for _, command in commands() for option in command.params
+        if isinstance(option, click.Option) for name in (*option.opts, *option.secondary_opts))
+    named = [(place, option) for place, piece in messages()
+             for option in re.findall(r"(?<![\w-])--[a-z][a-z-]*[a-z]", piece)]
+    assert len(named) > 200
+    assert [found for found in named if found[1] not in known] == []
+
+
+def test_commands_that_messages_name_are_commands() -> None:
+    parent = click.Context(cli, info_name="termsel")
+    known = {*cli.list_commands(parent), *registry().names("commands")}
+    named = [(place, word) for place, piece in messages()
+             for word in re.findall(r"(?:[`:] ?|[Rr]un:? )termsel ([a-z][a-z-]+)", piece)]
+    assert len(named) > 20
+    assert [found for found in named if found[1] not in known] == []
+
+
+def test_the_next_command_of_every_first_screen_is_one_that_can_be_typed() -> None:
+    parent = click.Context(cli, info_name="termsel")
+    next_commands = {command for screen in (ROOT / "tests/report/screens").glob("*.txt")
+                     for command in re.findall(r"Next: (termsel [^(\n]+)", screen.read_text())}
+    assert len(next_commands) >= 2
+    for text in next_commands:
+        _, name, *words = shlex.split(text)
+        command = cli.get_command(parent, name)
+        assert command is not None, text
+        command.make_context(name, words, parent=parent)
+
+
 def test_what_is_wrong_with_a_file_comes_with_a_remedy() -> None:
     """Every error that names a file says what to do."""
     without = []

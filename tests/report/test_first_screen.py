@@ -167,7 +167,7 @@ def test_notes_that_do_not_fit_are_counted() -> None:
     ({}, "result", "Next: termsel report result"),
     ({}, "my results", "Next: termsel report 'my results'"),
     ({"data": counts(independent=0)}, "r",
-     "Next: termsel plan r   (best positions for check points)"),
+     "Next: termsel plan r   (best positions for further points)"),
     ({"outliers": [outlier("P 2", 9.0, False)]}, "r", "Next: run again with --off 'P 2'"),
     ({"outliers": [outlier("P2", 9.0, False, "possible")]}, "r", "Next: termsel report r")])
 def test_one_command_comes_next(changed: dict[str, Any], folder: str, step: str) -> None:

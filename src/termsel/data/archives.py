@@ -79,7 +79,7 @@ def _tiffs_in_zip(archive: Path) -> list[Path]:
             names = packed.namelist()
     except _BROKEN as error:
         raise TermselError(f"this zip cannot be read: {error}", file=archive,
-                           hint="Load it down again.") from error
+                           hint="Download or copy it again.") from error
     if len(names) > MAX_ARCHIVE_FILES:
         raise TermselError(f"this zip has {len(names):,} files", file=archive,
                            hint="Name the raster in it: FILE.zip/PLACE.tif.")

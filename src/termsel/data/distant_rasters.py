@@ -87,7 +87,7 @@ class DistantRaster:
             answer, cause = self._helper.ask(pickle.dumps(self._question(work, values, named)))
         except ProcessEndedError as error:
             raise TermselError("GDAL has ended while it read this raster", file=self._path,
-                               hint="Is it complete, and an image? Is there enough memory?"
+                               hint="Copy it again; it is damaged, or larger than the memory."
                                ) from error
         if isinstance(answer, Exception):
             # The error as if it had been raised here, with what GDAL said as its cause.

@@ -283,7 +283,8 @@ def _unreadable(path: Path | str, reason: str) -> TermselError:
     if _UNREADABLE_PIXELS.search(reason):
         return TermselError("the pixels of this raster cannot be read: it is incomplete or damaged",
                             file=path, hint="Copy or download it again.")
-    hint = REMOTE_HINT if NO_PROXY_EXISTS in reason else "Is it complete, and an image?"
+    hint = REMOTE_HINT if NO_PROXY_EXISTS in reason else \
+        "Copy it again if it is incomplete, or convert it: gdal_translate FILE map.tif."
     return TermselError(f"GDAL cannot read this raster: {reason}", file=path, hint=hint)
 
 

@@ -46,6 +46,7 @@ KNOWN = ("RPB, _RPC.TXT, DIMAP XML, DigitalGlobe XML, EnMAP XML, JSON of rpcm or
          "that has an RPC")
 
 _LISTED = 8  # names in a message
+_INCOMPLETE = "The file is incomplete or damaged: get it again."
 
 _KEY = re.compile(r"^[ \t]*(\w+)[ \t]*[:=][ \t]*", re.MULTILINE)
 _ENCODING = re.compile(rb"""encoding\s*=\s*["']([\w.:-]+)""")
@@ -248,7 +249,7 @@ def from_items(items: Mapping[str, str]) -> Rpc:
     def number_of(name: str) -> float:
         words = items.get(name, "").split()
         if not words:
-            raise TermselError(f"the RPC lacks {name}", hint="Is the file complete?")
+            raise TermselError(f"the RPC lacks {name}", hint=_INCOMPLETE)
         return _number(words[0], name)
 
     def coefficients_of(name: str) -> tuple[float, ...]:
@@ -262,7 +263,7 @@ def from_items(items: Mapping[str, str]) -> Rpc:
         numbers = tuple(_number(text, name) for text in _NUMBERS.findall(items[name]))
         if len(numbers) != N_COEFFICIENTS:
             raise TermselError(f"{name} has {len(numbers)} numbers, expected {N_COEFFICIENTS}",
-                               hint="Is the file complete?")
+                               hint=_INCOMPLETE)
         return numbers
 
     # Negative errors stand for unknown ones.
@@ -304,7 +305,7 @@ def _rpc_from_xml(path: Path, name: str) -> Rpc:
                            hint="Save it with the encoding UTF-8.") from error
     except ElementTree.ParseError as error:
         raise TermselError(f"this XML cannot be read: {error}", file=path,
-                           line=error.position[0], hint="Is the file complete?") from error
+                           line=error.position[0], hint=_INCOMPLETE) from error
     # Vendors have their own trees; the rest of the forms has names that tell.
     if root.tag == "Dimap_Document":
         return _rpc_from_dimap(root)

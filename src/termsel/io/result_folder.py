@@ -290,7 +290,7 @@ def _read_features(folder: Path, record: Record) -> FeatureSet:
         if set(ids) != set(getattr(data.roles, role)):
             raise TermselError(f"{POINTS} and {LINES} do not have the {role} features that "
                                f"{RECORD} names", file=folder,
-                               hint="Leave the files of a result unchanged; run the search again.")
+                               hint="Copy the original folder again, or repeat the run.")
     return features
 
 
@@ -298,7 +298,7 @@ def _refuse_changed(changed: bool, path: Path) -> None:
     """Refuse a file that was changed after the run."""
     if changed:
         raise TermselError("this file was changed after the run wrote it", file=path,
-                           hint="Leave the files of a result unchanged; run the search again.")
+                           hint="Copy the original folder again, or repeat the run.")
 
 
 def residuals_csv(result: Result) -> str:

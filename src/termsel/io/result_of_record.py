@@ -183,7 +183,7 @@ def _made_by(record: Record) -> str:
     plugin = record.plugins.get("model")
     if plugin is not None and plugin.class_:
         return (f"The run used the class {plugin.class_} as it was then. Register that one, or "
-                "run the search again.")
+                "repeat the run.")
     made_by = (f"{plugin.name} of version {plugin.version}" if plugin else
                f"{record.model} of termsel {record.versions['termsel']}")
-    return f"The run used {made_by}. Install that version, or run the search again."
+    return f"The run used {made_by}. Install that version, or repeat the run."

@@ -548,5 +548,5 @@ def next_step(record: Record, folder: str = "") -> str:
         return "Not saved: add --out DIR, then termsel report DIR"
     if not record.data.counts.independent and record.data.counts.word == "points" \
             and lattice_of(record) is None:
-        return f"Next: termsel plan {quote(folder)}   (best positions for check points)"
+        return f"Next: termsel plan {quote(folder)}   (best positions for further points)"
     return f"Next: termsel report {quote(folder)}"

@@ -69,7 +69,7 @@ def fetched(address: str, remote: bool) -> IiifImage:
             content = answer.read(MAX_DESCRIPTION_BYTES + 1)
     except (URLError, OSError, ValueError) as error:
         raise TermselError(f"the image cannot be fetched: {error}", file=address,
-                           hint="Is the address right, and the network there?") from error
+                           hint="Check the address and the network.") from error
     return described(content, address)
 
 

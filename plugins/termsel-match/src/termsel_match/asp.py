@@ -80,8 +80,8 @@ def read_matches(path: Path) -> tuple[FloatArray, FloatArray]:
     if count == 0 or len(lines) < 1 + 2 * count:
         raise TermselError(
             f"the file announces {count} matches and has {max(len(lines) - 1, 0)} rows",
-            file=path, line=1, hint="Expected a row for each point of either image. Is the "
-                                    "file complete?")
+            file=path, line=1, hint="Each point of either image needs a row. The "
+                                    "file is incomplete: run ASP again.")
     positions = []
     for number, text in enumerate(lines[1:1 + 2 * count], 2):
         cells = text.split()
@@ -123,7 +123,7 @@ def _binary(content: bytes, count: int, path: Path) -> tuple[FloatArray, FloatAr
             of_images = np.array(positions, dtype=np.float64)
             return of_images[:count], of_images[count:]
     raise TermselError(f"the file announces {count} matches and is cut off, or is no match file of "
-                       "ASP", file=path, hint="Is the file complete?")
+                       "ASP", file=path, hint="The file is incomplete or damaged: get it again.")
 
 
 def _is_interest_point(cells: Sequence[str]) -> bool:

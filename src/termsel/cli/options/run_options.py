@@ -108,7 +108,7 @@ _OPTIONS = (
                  help="Write the page report.html to --out too; see `termsel report`."),
     click.option("--overwrite", is_flag=True, help="Replace existing files in --out."),
     click.option("--json", "as_json", is_flag=True, help="Print JSON alone on stdout."),
-    click.option("--quiet", is_flag=True, help="No progress bar."),
+    click.option("--quiet", is_flag=True, help="No progress bar; the summary is still printed."),
     progress_option,
 )
 

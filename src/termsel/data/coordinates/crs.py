@@ -39,6 +39,7 @@ WGS84 = frozenset({"EPSG:4326", "EPSG:4979"})
 Transformation = Callable[[FloatArray], FloatArray]
 """From ground coordinates to others, shapes (n, 3)."""
 
+_WRONG_CRS = "Check the ground coordinates and the CRS that is stated for them."
 _GRIDS = 3  # that an error names
 _OF_EARTH = 0.01  # share by which ellipsoids of the Earth differ at most
 _QUOTED_NAME = re.compile(r'\w+\s*\[\s*"([^"]{1,80})"')
@@ -329,7 +330,7 @@ def transformation(source: str, target: str, *, strict: bool = True,
     except ProjError as error:
         grids = _missing_grids(*ends)
         if not grids:
-            raise TermselError(f"{failure}: {error}") from error
+            raise TermselError(f"{failure}: {error}", hint=_WRONG_CRS) from error
         further_grids = f" or one of {len(grids) - _GRIDS} others" if len(grids) > _GRIDS else ""
         raise TermselError(
             f"{failure}: PROJ does not have the grid {' or '.join(grids[:_GRIDS])}{further_grids}",
@@ -343,7 +344,7 @@ def transformation(source: str, target: str, *, strict: bool = True,
         try:
             turned = turn.transform(*known_heights.T, errcheck=strict)
         except ProjError as error:
-            raise TermselError(f"{failure}: {error}") from error
+            raise TermselError(f"{failure}: {error}", hint=_WRONG_CRS) from error
         return np.stack(turned, axis=1)
 
     return convert

@@ -77,7 +77,7 @@ def read_geojson(path: Path, kinds: Mapping[str, int]) -> tuple[list[Feature], s
     nested. Raises TermselError if this is no such collection, or a feature has another geometry.
     """
     try:
-        collection = parse_json(read_text(path), "Is the file complete?")
+        collection = parse_json(read_text(path), "The file is incomplete or damaged: get it again.")
     except TermselError as error:
         raise located(error, path) from error
     if not isinstance(collection, dict) or not isinstance(collection.get("features"), list):

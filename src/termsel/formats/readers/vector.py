@@ -73,7 +73,8 @@ def open_layer(path: Path, layer: str | None, kinds: Container[str],
     # In a process of its own: GDAL may crash on a damaged file.
     layers = apart(_layers, path)
     if not layers:
-        raise TermselError("the file has no layers", file=path, hint="Is it complete?")
+        raise TermselError("the file has no layers", file=path,
+                           hint="Check it in a GIS, or export it again.")
     if layer is None:
         # A layer of mixed geometries has the kind Unknown: the next best.
         layer = next((key for key, kind in layers.items() if kind in kinds),
@@ -202,7 +203,7 @@ def _foreign(path: Path) -> TermselError:
 
 def _unreadable(path: Path, error: Exception) -> TermselError:
     return TermselError(f"GDAL cannot read this file: {error}", file=path,
-                        hint="Is it complete? A Shapefile needs its .shx and .dbf beside it.")
+                        hint="Export it again. A Shapefile needs its .shx and .dbf beside it.")
 
 
 def read_layer(path: Path, layer: str | None, kinds: Mapping[str, int],

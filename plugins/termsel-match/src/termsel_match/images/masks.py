@@ -131,7 +131,7 @@ def on_the_ground(masks: Sequence[Path | str], crs: str, transform: Any) -> tupl
             if not np.isfinite([x, y]).all():
                 raise TermselError("polygons of this mask cannot be converted to the CRS of the "
                                    "reference", file=name,
-                                   hint="Is their CRS right? Draw them near the image.")
+                                   hint="Check their CRS, and draw them near the image.")
             # The inverse of the geotransform: from coordinates to columns and rows of the
             # reference.
             return np.column_stack(~transform @ (np.asarray(x), np.asarray(y)))

@@ -108,7 +108,7 @@ class GreyRaster:
             except RasterioIOError as error:
                 # Of this file, whichever others are open.
                 raise TermselError(f"GDAL cannot read this raster: {error.__cause__ or error}",
-                                   file=self.path, hint="Is it complete?") from error
+                                   file=self.path, hint="Copy it again: it is damaged.") from error
             # The mean over bands is masked only where all of them are.
             values = grey.astype(np.float32).mean(axis=0)
             has_data = ~np.ma.getmaskarray(values) & np.isfinite(values.data)

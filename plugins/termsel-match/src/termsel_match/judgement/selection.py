@@ -265,7 +265,7 @@ def with_lines(selected: Selected, lines: FeatureSet, *, seed: int = 1,
             "points and lines contradict each other: candidates for check are "
             f"{rms_with_lines:.2f} px from the model of both, and {rms_alone:.2f} px from that of "
             "the points",
-            hint="Do the vectors cover the reference?")
+            hint="Give vectors that agree with the reference, or match points alone.")
     result = _told(termsel.run(
         "owdis-lines", features=with_both, model=model, solver="all-terms",
         options={**options, "mixed": True,

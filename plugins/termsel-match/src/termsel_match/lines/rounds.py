@@ -192,7 +192,8 @@ def iterate_lines(
         raise TermselError(
             f"not enough lines agree: for {int(confirmed.sum())} of {len(confirmed)} pieces of "
             f"vectors the clearest band of the image is at its place", file=Path(image),
-            hint="Is the start off by more than --search? Do the vectors show what can be seen?")
+            hint="Give a larger --search, a start that is nearer, or vectors of what the image "
+                 "shows.")
     lines = replace(selected, sigma=np.full(len(selected), rms))
     used = used.with_(lines=lines)
     mixed = {"mixed": True} if len(used.points) else {}

@@ -56,7 +56,7 @@ class ArosicsTable(Reader):
             rows.append(values)
         if not rows:
             raise TermselError("the table has no point with a match", file=path,
-                               hint="Was AROSICS successful?")
+                               hint="Run AROSICS again with another window or reference.")
         x, y, east, north, right, up = np.array(rows).T
         # AROSICS shifts the position on the map; its image positions count from the corner.
         ground = np.column_stack([east + right, north + up, np.full(len(rows), np.nan)])
