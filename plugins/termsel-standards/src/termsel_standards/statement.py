@@ -242,8 +242,8 @@ def statements_of(ground_errors: GroundErrors, horizontal_class: float | None = 
     too_few = f"{counted(n, 'independent point')}, at least {NSSDA_POINTS} needed"
     horizontal = _asprs("horizontal", n, with_survey, horizontal_class)
     if survey_horizontal is not None and survey_horizontal > IMPLAUSIBLE * figures.total:
-        horizontal = Statement("ASPRS horizontal", None, "not stated, as the error stated for the "
-                               "survey is larger than the errors found, which contain it")
+        horizontal = Statement("ASPRS horizontal", with_survey, "not stated, as the error stated "
+                               "for the survey is larger than the errors found, which contain it")
     statements = (
         horizontal,
         _asprs("vertical", n, height, vertical_class),
