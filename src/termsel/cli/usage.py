@@ -59,15 +59,33 @@ def _first_sentence(option: click.Option) -> str:
 
 
 def _no_such_option(error: click.NoSuchOption) -> str:
+    params = error.ctx.command.params if error.ctx is not None else ()
+    key = error.option_name.lstrip("-").replace("-", "_")
+    if any("--set" in param.opts for param in params) and key in _options_of_set():
+        return f"there is no option {error.option_name}. Set it by --set {key}=VALUE."
     near = get_close_matches(error.option_name, error.possibilities or (), n=1, cutoff=0.0)
     if near:
         return f"there is no option {error.option_name}. Did you mean {near[0]}?"
-    params = error.ctx.command.params if error.ctx is not None else ()
     options = [max(param.opts, key=len) for param in params
                if isinstance(param, click.Option) and not param.hidden]
     # A command of many options is left to its help.
     listed = f" Known: {', '.join(options)}." if 0 < len(options) <= _MOST_OPTIONS else ""
     return f"there is no option {error.option_name}.{listed}"
+
+
+def _options_of_set() -> set[str]:
+    """Return the names of all options of ``--set``: of data, searches, and what is installed."""
+    from termsel.plugins.registry import registry
+    from termsel.runs.request import DATA_OPTIONS
+    from termsel.selection.solvers.budget import SEARCH_OPTIONS
+
+    names = {option.name for option in (*DATA_OPTIONS, *SEARCH_OPTIONS)}
+    for kind in ("problems", "models", "solvers", "criteria", "readers"):
+        for entry in registry().entries(kind):
+            # Problems have options, classes declare theirs.
+            owned = entry.object.options if kind == "problems" else entry.object.declared_options
+            names |= {option.name for option in owned}
+    return names
 
 
 _MOST_OPTIONS = 20

@@ -154,7 +154,8 @@ def _near(name: str, names: Sequence[str]) -> list[str]:
     small = name.lower()
     near = get_close_matches(small, by_small_letters, n=1, cutoff=0.6)
     near += [known for known in by_small_letters if known not in near
-             and (known.startswith(f"{small}-") or small.startswith(f"{known}-"))]
+             and (known.startswith(f"{small}-") or small.startswith(f"{known}-")
+                  or known.endswith(f"-{small}"))]
     # popsize for population: the only name that begins alike.
     alike = [known for known in by_small_letters if known[:_ALIKE] == small[:_ALIKE]]
     if not near and len(alike) == 1 and len(small) > _ALIKE:

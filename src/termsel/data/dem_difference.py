@@ -35,7 +35,7 @@ TAKEN = 1e-5
 GEOID = "geoid and ellipsoid?"
 """The usual cause, up to what geoids are from ellipsoids."""
 
-NO_DEM = "is it a raster of heights, in the unit of the control?"
+NO_DEM = "is it a DEM, in metres?"
 """The cause of larger differences."""
 
 _MAX_GEOID_HEIGHT = 150.0

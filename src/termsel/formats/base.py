@@ -34,6 +34,18 @@ _Image = TypeVar("_Image", str, float)
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")
 
 
+_IN_WORDS = {
+    "Expecting property name enclosed in double quotes": "a name in double quotes is missing",
+    "Expecting value": "a value is missing, or a comma is too many",
+    "Expecting ',' delimiter": "a comma is missing",
+    "Expecting ':' delimiter": "a colon is missing",
+    "Extra data": "more follows after its end",
+    "Unterminated string starting at": "a text begins that has no closing quote",
+    "Illegal trailing comma before end of object": "a comma is too many",
+    "Illegal trailing comma before end of array": "a comma is too many",
+}
+"""What a user reads for what json says."""
+
 IMAGE_NAME = Option("image_name", None, "Name of the image, for files with several images.")
 """Option of readers that choose the points of one image."""
 
@@ -299,7 +311,7 @@ def parse_json(text: str, hint: str) -> Any:
     except json.JSONDecodeError as error:
         # At its end a text breaks off; what else is wrong was written so.
         is_cut = error.pos >= len(text.rstrip())
-        reason = "the file breaks off here" if is_cut else error.msg
+        reason = "the file breaks off here" if is_cut else _IN_WORDS.get(error.msg, error.msg)
         raise TermselError(f"this is not JSON: {reason}", line=error.lineno, hint=hint
                            ) from error
     except RecursionError:

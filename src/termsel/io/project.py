@@ -163,7 +163,8 @@ def read_ground(result: Result, path: Path, columns: str = "") -> tuple[list[str
     # The last coordinate, z where the model has heights: others may not be blank.
     blank = np.flatnonzero(np.isnan(ground[:, len(names) - 1]))
     if blank.size:
-        raise table.error("the height is blank, but the model requires it", int(blank[0]), "z")
+        raise table.error("the height is blank, but the model requires it", int(blank[0]),
+                          names[-1], "Fill it in, or leave the row out.")
     return table.ids(), ground
 
 

@@ -21,6 +21,7 @@ from termsel.data.record.record import Record, WhatWasRead
 from termsel.results.accuracy import accuracy_lines, is_exact, lattice_of, reused_points
 from termsel.results.blocks import Fact
 from termsel.results.verdict import (
+    NOT_FEW,
     are_alike,
     label_of,
     off_option,
@@ -264,8 +265,10 @@ def outlier_lines(record: Record) -> list[str]:
 def _counted_outliers(record: Record) -> list[str]:
     """Return how many outliers there are in one line, which takes the place of `outlier_lines`."""
     rejected, used, independent = _group_outliers(record)
-    if not any((rejected, used, independent)):
-        return outlier_lines(record)
+    named = outlier_lines(record)
+    # Where the names take one line, a count saves none.
+    if not any((rejected, used, independent)) or _total_height(list(_labelled("", named))) == 1:
+        return named
     counts = []
     if rejected:
         counts.append(f"{len(rejected)} rejected")
@@ -298,7 +301,11 @@ def _no_outlier_detected(record: Record) -> str:
     features = counted(test.features, record.data.counts.word.removesuffix("s"))
     errors = size_of_errors(record)
     if test.limit is None or too_few_to_test(test, errors):
-        return f"not detectable: {features} {'is' if test.features == 1 else 'are'} too few"
+        if test.features >= NOT_FEW and errors <= _NO_FIT * test.extent:
+            return f"not detectable by this model among {features}"
+        if test.features < NOT_FEW:
+            return f"not detectable: {features} " \
+                f"{'is' if test.features == 1 else 'are'} too few"
     # Where nothing fits, everything is an outlier, and the test finds none.
     if errors > _NO_FIT * test.extent:
         return (f"not detectable: no model fits these {record.data.counts.word}; several are "
@@ -407,7 +414,8 @@ def _verdict(record: Record, own_rmse: float, rival_rmse: float) -> str:
         return "the search gains nothing"
     if rival_rmse > own_rmse:
         return f"the search is better by {100 * (1 - own_rmse / rival_rmse):.0f} %"
-    return "better; leave out the search"
+    return "better; leave out --model" if record.solver == "all-terms" \
+        else "better; leave out the search"
 
 
 def _conventional(record: Record, row: BaselineRow) -> Iterator[str]:

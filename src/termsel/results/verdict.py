@@ -79,6 +79,8 @@ def fits_of(record: Record) -> Iterator[tuple[str, bool, int, RmseByRole]]:
 CERTAINTY = {"certain": "blunder", "probable": "probable blunder", "possible": "possible blunder"}
 """What a feature is called that contradicts all others."""
 
+NOT_FEW = 20
+"""Features that are not called too few for a test: the model is, or their errors, if none works."""
 TESTABLE_RATIO = 10.0
 """Least error that a test of enough features finds, by the size of their errors, at most."""
 
@@ -121,6 +123,8 @@ def _none_detected_in_words(test: BlunderTest | None, errors: float) -> str:
     if test is None:
         return "Outliers were not tested."
     if test.limit is None or too_few_to_test(test, errors):
+        if test.features >= NOT_FEW:
+            return f"No outlier can be detected by this model among {test.features} features."
         return f"No outlier can be detected: {test.features} features are too few."
     if test.limit > test.extent:
         return ("No outlier can be detected: no model fits these features. Several are wrong, or "

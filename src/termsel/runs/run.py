@@ -205,9 +205,10 @@ def run(
 def _warn_of_search(task: Task, words: Sequence[str], *, is_in_place_of_auto: bool) -> None:
     """Say where a search takes the place of the automatic choice, and where an RPC is not used."""
     if is_in_place_of_auto and task.recipe.for_methods:
-        log.warning("Note: %s asks for a search by %s, which takes the place of the automatic "
+        asks, them = ("asks", "it") if len(words) == 1 else ("ask", "them")
+        log.warning("Note: %s %s for a search by %s, which takes the place of the automatic "
                     "choice. Leave %s out to have the model chosen automatically.",
-                    " and ".join(words), task.solver.name, "it" if len(words) == 1 else "them")
+                    " and ".join(words), asks, task.solver.name, them)
     if task.features.rpc is not None and "rpc" not in task.model.options:
         log.warning("Warning: the model %s makes no use of the RPC. Leave model, solver and "
                     "criterion out to have it corrected.", task.model.name)

@@ -22,7 +22,7 @@ from termsel.data.tables.columns import (
     parse_columns,
     read_numbers,
 )
-from termsel.formats.base import LARGEST_IMAGE
+from termsel.formats.base import LARGEST_IMAGE, read_head
 from termsel.formats.readers.cells import WIDEST, BadText, counts_columns, read_cells
 
 EXPECTED = ("Give a table headed id,role,line,sample,x,y,z, or another format of "
@@ -35,6 +35,8 @@ _BELONGS = 0.9
 
 _REQUIRED = {"line", "sample", "x", "y"}
 _DECLARE = " Declare the columns: --columns"
+_SHEETS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
+"""First bytes of .xlsx and .ods, and of .xls."""
 _SPREADSHEETS = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
 
 
@@ -148,6 +150,9 @@ def _with_readings(error: TermselError, header: Sequence[str], rows: Sequence[Se
     readings = single
     texts = [_columns_option(reading, header, aliases, fixed) for reading in readings]
     before = error.hint or ""
+    free = len(header) - len(set(readings[0].values()) | set(fixed))
+    if texts[0].count("=?") > free:  # no column is left to be declared
+        return error
     # No reading has all columns; a point read so could not be shown.
     if "=?" in texts[0]:
         error.options["--columns"] = texts[0]
@@ -211,7 +216,10 @@ def unknown_table(path: Path, expected: str, columns: str) -> TermselError | Non
         return missing
     if len(rows) < 3 or len(values) < 4:
         return None if path.suffix.lower() not in _SPREADSHEETS else TermselError(
-            "no visible sheet has a table of points", file=path, hint=expected)
+            "no visible sheet has a table of points"
+            if read_head(path, expected)[:4] in _SHEETS else
+            "this is text, not a spreadsheet, and has no table of points", file=path,
+            hint=expected)
     # A header has no numbers above columns of numbers.
     bare = any(i in _numbers(rows[:1]) for i in values)
     header = [str(i + 1) for i in range(len(rows[0]))] if bare else rows[0]

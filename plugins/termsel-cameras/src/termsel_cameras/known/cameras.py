@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from termsel import TermselError
 from termsel.toolkit import read_text, unknown_name
+from termsel.toolkit.files import parse_json
 
 USGS = ("USGS reports of calibration OSL/2985, OSL/3030 and OSL/3221 of Wild RC30 cameras: 153 mm "
         "nominal, 153.25 to 153.74 mm calibrated")
@@ -101,10 +101,10 @@ def camera_named(name: str) -> SurveyCamera | dict[str, Any]:
     if path.suffix.lower() != ".json":
         raise unknown_name("camera", name, [*CAMERAS, "a file NAME.json"])
     try:
-        content = json.loads(read_text(path))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
-        raise TermselError(f"this camera file cannot be read as JSON: {error}", file=path,
-                           hint="Give a camera file, such as {\"focal\": 3131.8}.") from error
+        content = parse_json(read_text(path), 'Give a camera file, such as {"focal": 3131.8}.')
+    except TermselError as error:
+        error.file = path
+        raise
     fields = f"Fields of a camera file are {', '.join(FIELDS)}."
     if not isinstance(content, dict) or "focal" not in content:
         raise TermselError("this camera file has no field 'focal', the focal length [px]",

@@ -254,5 +254,6 @@ def _numbers(stated: Mapping[str, str], name: str, counts: Any) -> tuple[float, 
 
 def _positive(number: float, name: str) -> float:
     if not number > 0.0:
-        raise TermselError(f"{name} is {number:g}, which is not positive", hint="Check its sign.")
+        raise TermselError(f"{name} is {number:g}, which is not positive",
+                           hint="Give a number above 0.")
     return number
