@@ -182,7 +182,7 @@ def test_the_command_warns_and_prints_json(result: termsel.Result, tmp_path: Pat
 
 
 @pytest.mark.parametrize(("name", "said"), [
-    ("none.tif", "there is no such file"), ("lost.tfw", "none of its name is beside it"),
+    ("none.tif", "there is no such file"), ("lost.tfw", "no image of its name lies beside it"),
     ("text.tif", ""), ("", "this is a folder, expected a file")])
 def test_what_cannot_be_checked(name: str, said: str, tmp_path: Path) -> None:
     if name not in ("none.tif", ""):

@@ -254,6 +254,9 @@ def results_within(folder: Path) -> list[str]:
 def _no_result(folder: Path, path: Path) -> TermselError:
     """Return the error for a folder without a result; of a block or a study it names some inside.
     """
+    if not folder.exists():
+        return TermselError("there is no result here: this folder does not exist", file=folder,
+                            hint="Give the folder of a run, as in termsel run --out DIR.")
     if folder.is_file():
         return TermselError("this is a file, expected the folder of a result", file=folder,
                             hint="Give the folder that termsel run --out DIR wrote.")

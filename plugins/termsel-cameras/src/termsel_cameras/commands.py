@@ -95,11 +95,11 @@ def _say_paper(series: Series) -> None:
         return
     paper = paper_of(series.sheets)
     scale, turn, stretch, shear = paper.spreads
-    echo(f"Paper by {len(series.sheets)} sheets: {math.exp(paper.means[0]):.5g} px by unit of "
-         f"ground, to {100 * scale:.2g} %; turn {math.degrees(paper.means[1]):.3g} deg, to "
-         f"{math.degrees(turn):.2g}; stretch {100 * paper.means[2]:.2g} %, to {100 * stretch:.2g}; "
-         f"shear {100 * paper.means[3]:.2g} %, to {100 * shear:.2g}; an affine map leaves "
-         f"{paper.noise:.3g} px.")
+    echo(f"Paper by {len(series.sheets)} sheets: {math.exp(paper.means[0]):.5g} px per unit of "
+         f"ground (standard deviation {100 * scale:,.2f} %), turn "
+         f"{math.degrees(paper.means[1]):.3g} deg ({math.degrees(turn):.2g}), stretch "
+         f"{100 * paper.means[2]:.2g} % ({100 * stretch:.2g}), shear {100 * paper.means[3]:.2g} % "
+         f"({100 * shear:.2g}); an affine map leaves {paper.noise:.3g} px.")
 
 
 def _read_photo(photo: Path, crs: str | None, size: tuple[int, int]) -> FeatureSet:

@@ -180,6 +180,10 @@ def read_errors(path: Path | str) -> GroundErrors:
         raise TermselError(f"this table cannot be read: {error}", file=path,
                            hint="Save it again as CSV.") from None
     if not rows or not {"dx", "dy"} <= set(rows[0]):
+        if rows and any(";" in name or "\t" in name for name in rows[0] if name):
+            raise TermselError("the columns of this table are not separated by commas", file=path,
+                               hint="Save it as CSV, with commas between columns and decimal "
+                                    "points: id,dx,dy.")
         names = [name for name in rows[0] if name and not name.startswith("#")] if rows else []
         header = f"The columns here are: {', '.join(names)}. " if names else ""
         raise TermselError("this is no table of errors: it has no columns dx and dy", file=path,

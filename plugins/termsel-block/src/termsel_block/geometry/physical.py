@@ -219,6 +219,7 @@ def in_a_block(hint: str | None) -> str:
     if "--rpc" in hint:
         return ("Name the RPC as rpc of the image, control as points, and a correction as model, "
                 "such as affine.")
+    hint = hint.replace("Leave --crs out, or correct the file", "Correct one of them")
     return re.sub(r"--set (\w+)=(\w+)", r'options = { \1 = "\2" }', hint)
 
 
