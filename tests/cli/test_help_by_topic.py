@@ -57,7 +57,7 @@ def test_files_are_told_apart_by_their_names(example_files: Path, names: list[st
 
 
 def test_two_files_of_one_kind_are_refused(example_files: Path) -> None:
-    points = str(example_files / "gcps.csv")
-    done = CliRunner().invoke(cli, ["run", points, points])
+    points, others = (str(example_files / name) for name in ("gcps.csv", "scene.points"))
+    done = CliRunner().invoke(cli, ["run", points, others])
     assert done.exit_code == 2
     assert "are both points" in done.output

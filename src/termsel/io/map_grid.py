@@ -190,7 +190,7 @@ def grid_of_image(result: Result, crs: str, resolution: float | None = None, *,
     if is_tiny or is_huge or max(map_sides) > _MAX_MAP_SIDE:
         raise TermselError(f"with pixels of {resolution:g} {unit}s the map would have {lines:.0f} "
                            f"lines and {width:.0f} samples",
-                           hint=f"Give --res in {unit}s, the units of the map: a pixel of the "
+                           hint=f"Give --res in the units of the map, {unit}s: a pixel of the "
                                 f"image is {of_image:.2g} {unit}s." + (
                                     "" if is_tiny else " Or the edge of the CRS runs through the "
                                     "image: give another --crs."))

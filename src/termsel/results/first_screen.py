@@ -300,16 +300,16 @@ def _no_outlier_detected(record: Record) -> str:
         return "not tested"
     features = counted(test.features, record.data.counts.word.removesuffix("s"))
     errors = size_of_errors(record)
-    if test.limit is None or too_few_to_test(test, errors):
-        if test.features >= NOT_FEW and errors <= _NO_FIT * test.extent:
-            return f"not detectable by this model among {features}"
-        if test.features < NOT_FEW:
-            return f"not detectable: {features} " \
-                f"{'is' if test.features == 1 else 'are'} too few"
     # Where nothing fits, everything is an outlier, and the test finds none.
-    if errors > _NO_FIT * test.extent:
+    nothing_fits = errors > _NO_FIT * test.extent
+    is_blind = test.limit is None or too_few_to_test(test, errors)
+    if is_blind and test.features < NOT_FEW:
+        return f"not detectable: {features} {'is' if test.features == 1 else 'are'} too few"
+    if nothing_fits:
         return (f"not detectable: no model fits these {record.data.counts.word}; several are "
                 "wrong, or no model is suitable")
+    if test.limit is None or is_blind:
+        return f"not detectable by this model among {features}"
     if test.limit > _BLUNT * test.extent:
         return (f"none found among {features}; below {rounded(test.limit)} px most cannot be "
                 "detected")

@@ -25,7 +25,6 @@ from termsel.fitting.method import Method
 from termsel.models.base import SensorModel
 from termsel.models.image_part import ImagePart
 from termsel.models.interpolating import Interpolating
-from termsel.models.rational import RationalFunctions
 from termsel.plugins.kinds import KINDS
 from termsel.plugins.registry import registry
 from termsel.runs.fit_crs import FIT_CRS
@@ -370,9 +369,9 @@ def _named_parts(recipe: Recipe, model: Any, solver: Any, criterion: Any,
     """Return model, criterion and solvers, asked for or the problem's own, by class or instance."""
     names = registry()
     model_part = names.taken("models", recipe.model if model is None else model)
-    if recipe.name == "poly-terms" and issubclass(class_of(model_part), RationalFunctions):
-        log.info("Note: poly-terms selects terms of polynomials. With --model %s it selects those "
-                 "of a rational function, as rfm-terms does.", class_of(model_part).name)
+    if recipe.name == "poly-terms" and class_of(model_part).name == "rfm":
+        log.info("Note: poly-terms selects terms of polynomials. With --model rfm it selects those "
+                 "of a rational function, as rfm-terms does.")
     # Where terms have no influence there is nothing to search.
     usual_solver = "all-terms" if issubclass(class_of(model_part), Interpolating) \
         else SEVERAL_OBJECTIVES if _several_objectives(recipe, settings) else recipe.solver
