@@ -95,7 +95,9 @@ def test_lines_that_were_not_measured_stay_out(tmp_path: Path,
 
 @pytest.mark.parametrize(("rows", "options", "words"), [
     ("a,1,2,3,4\nc,1,2,3,4\n", {}, "1 of 2 image lines have no ground line: c"),
-    ("a,1,2,3,4\n", {"join": "id"}, "have no 'id'. They have name. Choose one with --set join="),
+    ("a,1,2,3,4\n", {"join": "id"},
+     "no property 'id' that names each line. Their properties are name. Say which one does: --set "
+     "join="),
     ("a,1,2,3,x\n", {}, r"image\.csv, line 2, column 'sample2'"),
     ("a,1,2,1,2\n", {}, "'a' has zero length in the image"),
     ("", {}, "no rows below the header")])

@@ -267,7 +267,8 @@ def _counted_outliers(record: Record) -> list[str]:
     rejected, used, independent = _group_outliers(record)
     named = outlier_lines(record)
     # Where the names take one line, a count saves none.
-    if not any((rejected, used, independent)) or _total_height(list(_labelled("", named))) == 1:
+    height = _total_height(list(_label_facts("Outliers", named)))
+    if height == 1 or not any((rejected, used, independent)):
         return named
     counts = []
     if rejected:
