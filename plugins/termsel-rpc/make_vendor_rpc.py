@@ -27,7 +27,7 @@ def main() -> None:
     model = RationalFunctions()
     found = rpc_of(LeastSquares().fit(model, control, scaling_of(control), *(
         np.ones(n, dtype=bool) for n in (len(model.terms), len(control)))))
-    RPC_FILE.write_text(rpb_text(found.rpc))
+    RPC_FILE.write_text(rpb_text(found.rpc.as_delivered()))
     away = found.rpc.project(ground) - grid[:, :2]
     print(f"{found.how}: at most {np.abs(away).max():.2g} px from the sensor")
 

@@ -270,3 +270,62 @@ def test_the_rmse_predicted_of_four_points_is_of_the_size_of_the_true_one() -> N
         assert predicted.high / predicted.low < 30.0
     assert 0.7 < np.median(ratios) < 1.5
     assert sum(holds) >= 5
+
+
+@pytest.mark.parametrize(("stated", "spread"), [
+    ("0.3%", 0.003), ("7px", 0.002), ("0.004", 0.004), ("fixed", 1e-6), ("0", 1e-6)])
+def test_how_well_a_focal_length_is_known_can_be_stated(stated: str, spread: float) -> None:
+    control, _, _ = photo(8, camera_focal=FOCAL, camera_focal_spread=stated)
+    interior = interior_of(control)
+    assert interior is not None
+    assert interior.focal_spread == pytest.approx(spread)
+
+
+@pytest.mark.parametrize("stated", ["3500", "-1%", "much"])
+def test_a_focal_length_known_to_nothing_is_refused(stated: str) -> None:
+    control, _, _ = photo(8, camera_focal=FOCAL, camera_focal_spread=stated)
+    with pytest.raises(TermselError, match="camera_focal_spread"):
+        interior_of(control)
+
+
+def test_a_fixed_interior_stays_as_it_is_stated() -> None:
+    control, _, _ = photo(12, camera_focal=FOCAL * 1.005, camera_focal_spread="fixed",
+                          camera_principal_point="1499.5,1999.5",
+                          camera_principal_point_spread="fixed")
+    figures = {figure.name: figure.value for figure in termsel.run(
+        features=control, method="known-camera").sensor}
+    fitted = KNOWN_CAMERA.fit(FitData.of(control))
+    assert figures["focal length"] == pytest.approx(FOCAL * 1.005, abs=0.01)
+    assert figures["principal point, line"] == pytest.approx(1499.5, abs=0.01)
+    assert "It is fixed, as stated." in KNOWN_CAMERA.describe(fitted)
+    free, _, _ = photo(12, camera_focal=FOCAL * 1.005)
+    said = KNOWN_CAMERA.describe(KNOWN_CAMERA.fit(FitData.of(free)))
+    assert "taken to be known to 1 % (35 px" in said
+
+
+def test_standard_deviations_of_the_pose_hold() -> None:
+    errors = []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        control, _, _ = photo(14, seed=seed, noise=2.0, camera_focal=FOCAL * (
+            1.0 + 0.01 * rng.standard_normal()))
+        figures = termsel.run(features=control, method="known-camera").sensor
+        truth = [400_000.0, 5_000_000.0, 300.0 + HIGH]
+        for figure, value in zip(figures[:3], truth, strict=True):
+            assert figure.standard_deviation is not None
+            errors.append((figure.value - value) / figure.standard_deviation)
+        focal = figures[6]
+        assert focal.standard_deviation is not None
+        errors.append((focal.value - FOCAL) / focal.standard_deviation)
+    assert 0.7 < float(np.sqrt(np.mean(np.square(errors)))) < 1.4
+
+
+def test_options_of_a_camera_are_listed_and_misspelt_ones_refused(tmp_path: Path) -> None:
+    file = tmp_path / "gcps.csv"
+    file.write_text("id,line,sample,x,y,z\nA,1,2,3,4,5\n")
+    done = invoke("run", file, "--crs", CRS, "--set", "camera_focal_sprea=1%")
+    assert done.exit_code == 2
+    assert "unknown option 'camera_focal_sprea'. Did you mean 'camera_focal_spread'?" in done.stderr
+    listed = invoke("describe", "data").stdout
+    assert "camera_focal_spread" in listed
+    assert "camera_position" in listed

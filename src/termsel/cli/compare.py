@@ -202,10 +202,11 @@ def _keys_of(options: dict[str, Any]) -> dict[str, Any]:
     settings = parse_settings(options["settings"], projection_candidates=None
                               if candidates is None else str(candidates))
     if files:
-        from termsel.io.read import read_options
+        from termsel.io.read import read_options, refuse_misspelt
 
         of_reading = {option.name: settings.pop(option.name) for option in read_options()
                       if option.name in settings} if settings else {}
+        refuse_misspelt(settings)
         keys["data"] = [{**files, **of_files,
                          **({"options": of_reading} if of_reading else {})}]
     # Left out where not given: a study has its own defaults, which an empty budget would hide.

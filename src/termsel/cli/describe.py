@@ -27,7 +27,8 @@ def describe(name: str) -> None:
     """Describe a problem, model, solver or other named thing.
 
     The purpose comes first, then an example with the main options, then the details. Set options
-    with `termsel run --set KEY=VALUE`. `termsel describe data` lists the options of the data.
+    with `termsel run --set KEY=VALUE`. `termsel describe data` lists the options of the data and
+    of reading them, such as those of a known camera.
 
     \b
     Examples:
@@ -112,10 +113,14 @@ def _lead(kind: str, entry: Entry) -> None:
 
 
 def _describe_data() -> None:
+    from termsel.io.read import read_options
     from termsel.runs.request import DATA_OPTIONS
 
     echo("Options of the data, for every problem:")
     _option_table(DATA_OPTIONS)
+    echo("\nOptions of reading the files, whatever their format; a format has more: "
+         "termsel describe FORMAT.")
+    _option_table(read_options())
 
 
 def _describe_problem(entry: Entry) -> None:

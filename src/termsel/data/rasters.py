@@ -200,6 +200,14 @@ def _opened_here(path: Path | str, sources: list[str]) -> Iterator[Any]:
             yield raster
 
 
+@contextmanager
+def without_siblings() -> Iterator[None]:
+    """Let GDAL see an image alone, without the files next to it."""
+    rasterio = require_rasterio()
+    with rasterio.Env(GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR"):
+        yield
+
+
 def gdal_name(path: Path | str) -> Path | str:
     """Return a name of GDAL with the second slash of places, which paths lose.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Self
 
 import numpy as np
@@ -43,6 +43,10 @@ class Rpc:
         Root mean square of bias and of random error [m], if the vendor states them.
     source : str
         Name of its file, for messages.
+    control_count : int
+        Number of features that it was fitted to by termsel; 0 for one that a vendor made.
+    control_digests : tuple of str
+        What these features are recognised by (`termsel.data.fingerprints`).
 
     Raises
     ------
@@ -77,10 +81,13 @@ class Rpc:
     error_bias: float | None = None
     error_random: float | None = None
     source: str = field(default="", compare=False)
+    control_count: int = field(default=0, compare=False)
+    control_digests: tuple[str, ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if isinstance(value, tuple):  # numpy's numbers have another repr, which is written
+            # numpy's numbers have another repr, which is written.
+            if isinstance(value, tuple) and name != "control_digests":
                 object.__setattr__(self, name, tuple(map(float, value)))
         for name in ("line_numerator", "line_denominator", "sample_numerator",
                      "sample_denominator"):
@@ -96,6 +103,10 @@ class Rpc:
             _require_finite(getattr(self, name), name)
             if name.endswith("scale") and not all(getattr(self, name)):
                 raise TermselError(f"a scale of the RPC is 0: {getattr(self, name)}")
+
+    def as_delivered(self) -> Self:
+        """Return the RPC without what it was fitted to: one that stands for a vendor's."""
+        return replace(self, control_count=0, control_digests=())
 
     def numbers(self) -> RpcNumbers:
         """Return the RPC as the record of a run holds it."""

@@ -5,17 +5,20 @@ from __future__ import annotations
 import logging
 import re
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from termsel.core.errors import TermselError
+from termsel.core.errors import TermselError, counted
 from termsel.core.files.atomic import write_text
+from termsel.core.files.names import is_there
 from termsel.data.features import FeatureSet
-from termsel.data.rasters import open_raster
+from termsel.data.rasters import open_raster, without_siblings
 from termsel.data.rpc import N_COEFFICIENTS, Rpc
 from termsel.formats.base import is_utf16, located, read_data, read_head, read_text
+from termsel.formats.rpc_control import control_group, control_lines, with_control
 from termsel.formats.rpc_forms import (
     Items,
     largest_difference,
@@ -45,8 +48,13 @@ KNOWN = ("RPB, _RPC.TXT, DIMAP XML, DigitalGlobe XML, EnMAP XML, JSON of rpcm or
          "Fusion Contest 2019, Orthority YAML, VRT or .aux.xml with an RPC domain, or an image "
          "that has an RPC")
 
+_OF_RESULT = '"termsel-result'
+_OPENING = 1000  # characters in which JSON names its schema
 _LISTED = 8  # names in a message
 _INCOMPLETE = "The file is incomplete or damaged: get it again."
+
+_BESIDE = (".RPB", ".rpb", "_RPC.TXT", "_rpc.txt")
+"""Endings of the files of an RPC that GDAL finds next to an image, and termsel writes."""
 
 _KEY = re.compile(r"^[ \t]*(\w+)[ \t]*[:=][ \t]*", re.MULTILINE)
 _ENCODING = re.compile(rb"""encoding\s*=\s*["']([\w.:-]+)""")
@@ -111,6 +119,47 @@ def has_rpc(image: Path | str) -> bool:
         return bool(raster.tags(ns="RPC"))
 
 
+def delivered_rpc(image: Path | str) -> Rpc | None:
+    """Return the RPC that an image came with, inside it or next to it; None if there is none.
+
+    One that termsel fitted to control points, and that was exported next to the image, is none: its
+    own points would seem to test it. Of that the user is told.
+    """
+    if not has_rpc(image):
+        return None
+    rpc = read_rpc(image)
+    if not rpc.control_count:
+        return rpc
+    path = Path(image)
+    beside = {file.name: other for file, other in _rpcs_beside(path)}
+    exported = next((name for name, other in beside.items()
+                     if other.control_count and other == rpc), path.name)
+    # What GDAL prefers may hide the file of the vendor.
+    beside.update(_rpc_within(path))
+    delivered = next((other for other in beside.values() if not other.control_count), None)
+    instead = "" if delivered is None else f" That of {delivered.source} is used."
+    log.warning("Note: the RPC of %s was fitted by termsel to %s, and is not used as the "
+                "vendor's.%s", exported, counted(rpc.control_count, "control feature"), instead
+                or f" To use it as such: --rpc {path.with_name(exported)}")
+    return delivered
+
+
+def _rpcs_beside(image: Path) -> Iterator[tuple[Path, Rpc]]:
+    """Yield the files next to an image in which GDAL looks for its RPC, as far as they are read."""
+    for ending in _BESIDE:
+        path = image.with_name(image.stem + ending)
+        if is_there(path):
+            with suppress(TermselError):
+                yield path, read_rpc(path)
+
+
+def _rpc_within(image: Path) -> dict[str, Rpc]:
+    """Return the RPC in the tags of an image itself, by the name of the image, if there is one."""
+    with suppress(TermselError), without_siblings():
+        return {image.name: read_rpc(image)}
+    return {}
+
+
 def size_with_rpc(rpc: Any) -> tuple[int, int] | None:
     """Return lines and samples of the image that is the file of its RPC, if it is one."""
     if not isinstance(rpc, Path | str):
@@ -134,6 +183,10 @@ def with_rpc(features: FeatureSet, rpc: Rpc | Path | str,
     path, _ = _named_part(Path(rpc))
     size = features.image_size
     full_rpc = read_rpc(rpc)
+    if full_rpc.control_count:
+        log.warning("Note: the RPC of %s was fitted by termsel to %s, and is used as a vendor's, "
+                    "as it is named.", path.name,
+                    counted(full_rpc.control_count, "control feature"))
     if image_part is not None:
         return replace(features, rpc=image_part.rpc(full_rpc))
     return replace(features, rpc=full_rpc, image_size=size or size_with_rpc(path))
@@ -142,12 +195,12 @@ def with_rpc(features: FeatureSet, rpc: Rpc | Path | str,
 def _read(path: Path, head: bytes, rpc_name: str) -> Rpc:
     """Return the RPC of an image, of XML, or of text with names and values."""
     if b"\0" in head and not is_utf16(head):
-        items, of_bands = _rpc_items_of_image(path)
+        items, of_bands, further = _rpc_items_of_image(path)
         if not items and not of_bands:
             raise TermselError("this image has no RPC that GDAL finds", file=path,
                                hint=f"Expected {KNOWN}.")
         if items and not rpc_name:
-            return from_items(items)
+            return _with_control_beside(with_control(from_items(items), further), path)
         return _choose_rpc(of_bands, rpc_name, bands=True)
     if head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"<"):
         return _rpc_from_xml(path, rpc_name)
@@ -162,23 +215,41 @@ def _read(path: Path, head: bytes, rpc_name: str) -> Rpc:
                 _number(number, name, line)
             items[item] = value
     if items.keys() & (RPB_NAMES.keys() | {"LINE_NUM_COEFF_1"}):
-        return from_items(items)
+        return with_control(from_items(items), {name: value for name, (value, _)
+                                                in entries.items()})
     is_json = text.lstrip()[:1] in ("{", "[")
     tree = tree_of_json(text) if is_json else tree_of_yaml(text)
     if (of_result := rpc_of_result(tree)) is not None:
         return of_result
+    if is_json and _OF_RESULT in text[:_OPENING]:
+        raise TermselError(
+            "this is the record of a termsel result, whose run was given no RPC", file=path,
+            hint=f"termsel export {path.parent} --to rpb --output scene.RPB writes one that its "
+                 "points were fitted to: these cannot correct or test it.")
     nested = rpcs_of_tree(tree)
     if not nested:
         raise _error_for_unknown_form(path, text)
     return _choose_rpc(nested, rpc_name)
 
 
-def _rpc_items_of_image(path: Path) -> tuple[dict[str, str], dict[str, Items]]:
-    """Return the items of the RPC of an image, and those of its bands by their numbers."""
+def _with_control_beside(rpc: Rpc, image: Path) -> Rpc:
+    """Return the RPC of an image with the control that the file next to it names, if it has one.
+
+    GDAL passes on the numbers of such a file alone.
+    """
+    if rpc.control_count:
+        return rpc
+    same = (other for _, other in _rpcs_beside(image) if other == rpc and other.control_count)
+    return next(same, rpc)
+
+
+def _rpc_items_of_image(path: Path) -> tuple[dict[str, str], dict[str, Items], dict[str, str]]:
+    """Return the items of the RPC of an image, those of its bands by number, and other metadata."""
     with open_raster(path) as raster:
         of_bands = {str(number): rpc_of_tags(raster.tags(number, ns="RPC"))
                     or rpc_of_tags(raster.tags(number)) for number in range(1, raster.count + 1)}
-        return raster.tags(ns="RPC"), {band: items for band, items in of_bands.items() if items}
+        return (raster.tags(ns="RPC"),
+                {band: items for band, items in of_bands.items() if items}, raster.tags())
 
 
 def _choose_rpc(items_of: Mapping[str, Items], name: str, *, bands: bool = False) -> Rpc:
@@ -312,15 +383,19 @@ def _rpc_from_xml(path: Path, name: str) -> Rpc:
     if of_bands := rpcs_of_xml(root):
         return _choose_rpc(of_bands, name, bands=True)
     items: dict[str, str] = {}
+    further: dict[str, str] = {}
     for domain in root.iter("Metadata"):
+        entries = {item.get("key", ""): item.text or "" for item in domain.iter("MDI")}
         if domain.get("domain") == "RPC":
-            items |= {item.get("key", ""): item.text or "" for item in domain.iter("MDI")}
+            items |= entries
+        elif not domain.get("domain"):
+            further |= entries
     if not items:
         digital_globe = {rpb.upper(): name for name, rpb in (RPB_NAMES | ERROR_NAMES).items()}
         items = {digital_globe[name]: text for name, text in _texts(root) if name in digital_globe}
     if not items:
         raise _error_for_unknown_form(path, content.decode("utf-8", errors="replace"), root.tag)
-    return from_items(items)
+    return with_control(from_items(items), further)
 
 
 def _root_of_xml(content: bytes) -> ElementTree.Element:
@@ -418,7 +493,7 @@ def rpb_text(rpc: Rpc) -> str:
             lines.append(f"\t{rpb} = (\n{numbers});")
         else:
             lines.append(f"\t{rpb} = {value!r};")
-    return "\n".join([*lines, "END_GROUP = IMAGE", "END;", ""])
+    return "\n".join([*lines, "END_GROUP = IMAGE", *control_group(rpc), "END;", ""])
 
 
 def rpc_txt_text(rpc: Rpc) -> str:
@@ -429,7 +504,7 @@ def rpc_txt_text(rpc: Rpc) -> str:
             lines += [f"{name}_{i}: {number!r}" for i, number in enumerate(value, 1)]
         else:
             lines.append(f"{name}: {value!r}")
-    return "\n".join([*lines, ""])
+    return "\n".join([*lines, *control_lines(rpc), ""])
 
 
 def rpc_items(rpc: Rpc) -> dict[str, str]:

@@ -13,6 +13,7 @@ from termsel.core.errors import TermselError
 from termsel.core.files.texts import is_xml_text, xml_attribute, xml_text
 from termsel.core.options import Option
 from termsel.data.features import Points
+from termsel.data.georeferenced import warn_of_map
 from termsel.data.rasters import gdal_name
 from termsel.formats.image_origin import other_image, require_inside
 from termsel.formats.pictures import Band, Picture, picture_of
@@ -44,6 +45,7 @@ def picture_for(result: Result, image: Path | str | None) -> Picture:
         lines, samples = size_of_features
         raise other_image(picture.size, f"the image of the result {lines} and {samples}", image)
     require_inside(result.features, picture.size, image)
+    warn_of_map(result.features, image)
     return picture
 
 

@@ -25,6 +25,7 @@ from termsel.data.coordinates.crs import LOCAL, WGS84, normalise, short
 from termsel.data.coordinates.earth import say_turned, unknown_crs
 from termsel.data.coordinates.plausible import check_ground, note_on_mixed
 from termsel.data.features import FeatureSet, no_lines, no_points
+from termsel.data.georeferenced import warn_of_map
 from termsel.data.rpc import Rpc
 from termsel.data.tables.columns import LINES, OPTIONAL, POINTS, columns_text
 from termsel.formats.base import Reader, is_utf16, located, read_head, read_once, utf16_error
@@ -43,7 +44,7 @@ from termsel.formats.readers.advice import (
     unknown_table,
 )
 from termsel.formats.repeated import REPEATED, averaging
-from termsel.formats.rpc_files import has_rpc, size_with_rpc, with_rpc
+from termsel.formats.rpc_files import delivered_rpc, size_with_rpc, with_rpc
 from termsel.formats.swapped import SWAPPED, exchanged_back
 from termsel.formats.z_unit import Z_UNIT, with_z_unit
 from termsel.models.image_part import RPC_OFFSET, RPC_SCALE, ImagePart, part_of
@@ -166,8 +167,8 @@ def read(
         of_readers["columns"] = columns_text(columns)
     formats = [format] if isinstance(format, str) else format
     size = None if image is None else image_size_of(image)
-    if rpc is None and image is not None and has_rpc(image):
-        rpc = image
+    if rpc is None and image is not None:
+        rpc = delivered_rpc(image)
     image_part = part_of(rpc_offset, rpc_scale)
     size_for_origin = size_with_rpc(rpc) if size is None and image_part is None else size
     origin = partial(with_image_origin, choice=image_origin, size=size_for_origin)
@@ -232,6 +233,15 @@ def read_options() -> tuple[Option, ...]:
     return (*READ_OPTIONS, *of_packages)
 
 
+def refuse_misspelt(options: Iterable[str]) -> None:
+    """Refuse an option that begins as those of reading do, such as camera_, and is none."""
+    names = [option.name for option in read_options()]
+    for key in options:
+        group, _, further = key.partition("_")
+        if further and group in names and key not in names:
+            raise unknown_name("option", key, [name for name in names if name.startswith(group)])
+
+
 def _with_packages(features: FeatureSet, values: Mapping[str, Any],
                    image: Path | str | None) -> FeatureSet:
     """Return features with what options of packages, or the image, tell of them."""
@@ -274,6 +284,7 @@ def _with_image_size(features: FeatureSet, image: Path | str | None, size: tuple
     if image is None or size is None:
         return features
     require_inside(features, size, image)
+    warn_of_map(features, image)
     return features if features.image_size else replace(features, image_size=size)
 
 

@@ -20,6 +20,7 @@ from termsel.core.errors import TermselError, counted
 from termsel.core.files.atomic import write_text
 from termsel.core.files.names import is_there
 from termsel.data.features import FeatureSet, FloatArray
+from termsel.data.georeferenced import warn_of_map
 from termsel.data.locate import Surface
 from termsel.data.record.figures import plain
 from termsel.data.record.record import Checksums, Record
@@ -347,6 +348,7 @@ class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, wea
         if image is not None:
             picture, size = thumbnail(image, self.features.image_size)
             depicted = self.of_image(size)
+            warn_of_map(self.features, image)
         write_text(path, page(document(depicted.record, depicted.view, picture,
                                        further_sections(self))))
 

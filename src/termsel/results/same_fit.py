@@ -28,6 +28,7 @@ from termsel.fitting.figures import (
 )
 from termsel.fitting.fit import Estimator, Fit, HeldOut
 from termsel.fitting.least_squares import LeastSquares
+from termsel.fitting.sensor import sensor_of
 from termsel.models.base import SensorModel
 from termsel.models.quotient import guard_points, pole_margin, pole_violation
 
@@ -42,7 +43,7 @@ def numbers_of(fitted: Fit) -> dict[str, Any]:
         "estimation": fit_record(fitted),
         "adjustment": adjustment_figures(
             fitted, orientation_spread(lines) if len(lines) else None),
-        "sensor": fitted.model.sensor_figures(fitted.adjustment.coefficients),
+        "sensor": sensor_of(fitted),
         "significance": significance(fitted),
         "correlations": tuple(Correlation((first, second), value)
                               for first, second, value in correlations(fitted)),

@@ -32,9 +32,9 @@ def selected(record: Record, view: View | None, picture: str) -> Iterator[Block]
         yield from _proven(record)
     yield from _front(record, view, picture)
     if record.sensor:
-        yield Detail(TableBlock("Sensor", ("", "value", "unit"), [
-            (figure_of_sensor.name, _figure_with_unit(figure_of_sensor), figure_of_sensor.unit)
-            for figure_of_sensor in record.sensor]))
+        yield Detail(_sensor(record.sensor))
+        if any(sensor.name == "kappa" for sensor in record.sensor):
+            yield Detail(ANGLES)
     yield from map(Detail, _coefficients(record))
     if view is not None:
         # Charts of terms, each with its table for those who cannot see it.
@@ -50,6 +50,27 @@ def selected(record: Record, view: View | None, picture: str) -> Iterator[Block]
         yield Detail(Names("Terms", selection.terms))
 
 
+ANGLES = ("omega, phi and kappa are those of R3(kappa) R2(phi) R1(omega), which turns axes of the "
+          "ground (x, y and upwards at the middle of the control) to those of the image: x along "
+          "samples, y against lines, z against the view. Lines and samples count from the centre "
+          "of the upper-left pixel.")
+"""The convention of the angles of a photo."""
+
+
+def _sensor(figures: Sequence[SensorFigure]) -> TableBlock:
+    """Return the figures of a sensor as a table, with standard deviations where these are known."""
+    rows = []
+    for sensor in figures:
+        deviation = sensor.standard_deviation
+        uncertainty = "" if deviation is None else _figure_with_unit(sensor, deviation)
+        rows.append((sensor.name, _figure_with_unit(sensor, sensor.value), uncertainty,
+                     sensor.unit))
+    if any(sensor.standard_deviation is not None for sensor in figures):
+        return TableBlock("Sensor", ("", "value", "standard deviation", "unit"), rows)
+    return TableBlock("Sensor", ("", "value", "unit"), [
+        (name, value, unit) for name, value, _, unit in rows])
+
+
 _DECIMALS = {"px": 2, "m": 2, "deg": 4}
 """Decimals of a figure of a sensor by its unit; those of longitude and latitude are more."""
 
@@ -57,11 +78,11 @@ _PLACE_DECIMALS = 8
 """Decimals of a longitude or latitude [deg]: a millimetre."""
 
 
-def _figure_with_unit(sensor: SensorFigure) -> str:
-    """Return a figure of a sensor with the decimals of its unit."""
+def _figure_with_unit(sensor: SensorFigure, value: float) -> str:
+    """Return a value with the decimals that the unit of a figure of a sensor has."""
     is_place = sensor.unit == "deg" and sensor.name.startswith("projection centre")
     decimals = _PLACE_DECIMALS if is_place else _DECIMALS.get(sensor.unit, 4)
-    return f"{sensor.value:.{decimals}f}"
+    return f"{value:.{decimals}f}"
 
 
 def _iteration_in_words(adjustment: AdjustmentFigures) -> str:

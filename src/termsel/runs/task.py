@@ -30,6 +30,7 @@ from termsel.io.read import features_of
 from termsel.models.base import SensorModel, require_heights
 from termsel.models.image_part import ImagePart, recognised
 from termsel.plugins.registry import registry
+from termsel.runs.exported_rpc import refuse_makers, rpc_of_model
 from termsel.runs.fit_crs import with_fit_crs, with_polar
 from termsel.runs.request import (
     EQUAL_SHARES,
@@ -346,6 +347,7 @@ def observe(request: Request, fewest: int = MIN_CONTROL) -> Observations:
         split=split_of(of_data),
         fractions=parsed_shares(of_data["fractions"], criterion.needs_check),
         rng=np.random.default_rng(of_data["split"]))
+    refuse_makers(request.features.rpc or rpc_of_model(request.model), observations)
     # Where no criterion needs judges, selection points are control as well.
     if _check_as(request, observations) == "control":
         observations = check_as_control(observations)

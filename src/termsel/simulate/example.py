@@ -68,4 +68,4 @@ def vendor_rpc() -> Rpc:
     ground = np.column_stack([SENSOR.locate(grid[:, :2], grid[:, 2]), grid[:, 2]])
     points = Points(tuple(map(str, range(len(grid)))), grid[:, :2] + VENDOR, ground)
     control = FeatureSet(points, crs=CRS, image_size=SIZE)
-    return rpc_of(fit_all_terms(Polynomial3D(degree=3), control)).rpc
+    return rpc_of(fit_all_terms(Polynomial3D(degree=3), control)).rpc.as_delivered()

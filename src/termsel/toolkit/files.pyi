@@ -17,6 +17,7 @@ from termsel.core.files.texts import guarded as guarded
 from termsel.core.files.texts import is_number as is_number
 from termsel.core.files.texts import markdown_text as markdown_text
 from termsel.core.files.texts import xml_attribute as xml_attribute
+from termsel.data.fingerprints import makers_of as makers_of
 from termsel.data.tables.tabular import TextArray as TextArray
 from termsel.data.tables.tabular import distinct as distinct
 from termsel.formats.base import IMAGE_NAME as IMAGE_NAME
@@ -32,6 +33,7 @@ from termsel.formats.deviation import say_nearest as say_nearest
 from termsel.formats.heights import surface_of as surface_of
 from termsel.formats.image_origin import require_inside as require_inside
 from termsel.formats.readers.tables import Table as Table
+from termsel.formats.rpc_files import delivered_rpc as delivered_rpc
 from termsel.formats.rpc_files import rpb_text as rpb_text
 from termsel.formats.rpc_files import rpc_items as rpc_items
 from termsel.formats.toml_files import read_toml as read_toml

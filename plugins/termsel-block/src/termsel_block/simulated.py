@@ -305,4 +305,5 @@ def _vendor(sensor: Pushbroom, bias: float, drift: float, size: int, off: float,
     grid = np.stack(np.meshgrid(steps, steps, heights), axis=-1).reshape(-1, 3)
     ground = np.column_stack([wrong_sensor.locate(grid[:, :2], grid[:, 2]), grid[:, 2]])
     points = Points(tuple(map(str, range(len(grid)))), grid[:, :2], ground)
-    return rpc_of(fit(FeatureSet(points, crs="EPSG:4979", image_size=(size, size)), "rfm")).rpc
+    control = FeatureSet(points, crs="EPSG:4979", image_size=(size, size))
+    return rpc_of(fit(control, "rfm")).rpc.as_delivered()

@@ -262,7 +262,7 @@ class RunOptions:
 
     def read(self) -> tuple[FeatureSet | None, dict[str, str]]:
         """Return the features of the files, if any are given, and the options that remain."""
-        from termsel.io.read import read, read_options, readers_of
+        from termsel.io.read import read, read_options, readers_of, refuse_misspelt
         from termsel.plugins.registry import registry
 
         options = dict(self.options)
@@ -276,6 +276,7 @@ class RunOptions:
         # Options of reading stand under --set with all others, and are told apart by their names.
         of_reading = {option.name: options.pop(option.name) for option in read_options()
                       if option.name in options} if options else {}
+        refuse_misspelt(options)
         arguments = {"raster": self.raster, "image_lines": self.image_lines,
                  "columns": self.columns}
         accepted: set[str] = set()

@@ -338,6 +338,8 @@ class SensorFigure(RecordPart, frozen=True):
     """Its value."""
     unit: str
     """Its unit: px, m or deg."""
+    standard_deviation: float | None = None
+    """Its standard deviation, in the same unit; null where it is not known."""
 
 
 class Correlation(RecordPart, frozen=True):

@@ -154,6 +154,10 @@ class RpcNumbers(RecordPart, frozen=True):
     """Root mean square of the random error [m], if the vendor states it."""
     source: str = ""
     """Name of its file."""
+    control_count: int = 0
+    """Number of features that termsel fitted it to; 0 for one that a vendor made."""
+    control_digests: tuple[str, ...] = ()
+    """What these features are recognised by."""
 
 
 class DataRecord(RecordPart, frozen=True):

@@ -19,6 +19,7 @@ from termsel.data.rasters import empty_tiff, open_raster, require_rasterio
 from termsel.data.rpc import Rpc
 from termsel.formats.base import Writer
 from termsel.formats.deviation import places_of, say_deviation
+from termsel.formats.rpc_control import control_items
 from termsel.formats.rpc_files import read_rpc, rpb_text, rpc_items, rpc_txt_text
 from termsel.formats.vrt import IMAGE, picture_for, vrt_text
 from termsel.results.result import Result
@@ -157,7 +158,7 @@ class RpcVrt(RpcWriter):
     def text(self, rpc: Rpc, result: Result, path: Path) -> str:
         """Return the text of a VRT."""
         return vrt_text(picture_for(result, self.options["image"]), path.parent,
-                        domains={"": _FOR_OTB, "RPC": rpc_items(rpc)})
+                        domains={"": _FOR_OTB | control_items(rpc), "RPC": rpc_items(rpc)})
 
     def written(self, rpc: Rpc, path: Path) -> None:
         """Do nothing: GDAL always uses a VRT's own RPC."""
@@ -168,7 +169,8 @@ def require_read_back(rpc: Rpc, text: str, suffix: str) -> None:
     with private_folder() as folder:
         path = folder / f"scene{suffix}"
         write_text(path, text)
-        if read_rpc(path) != rpc:
+        again = read_rpc(path)
+        if again != rpc or again.control_digests != rpc.control_digests:
             raise TermselError("the RPC that is read back differs from the one that was written",
                                hint="This is a bug in termsel; please report it.")
         try:

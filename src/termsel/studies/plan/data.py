@@ -5,13 +5,15 @@ from __future__ import annotations
 import glob
 import logging
 import os
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Timer
 from typing import Any
 
+from termsel.core.display.quiet import quieted
 from termsel.core.errors import TermselError
 from termsel.data.datasets import DatasetSpec
 from termsel.data.features import FeatureSet
@@ -46,8 +48,11 @@ class Data:
 def data_of(spec: Spec, folder: Path) -> list[Data]:
     """Return all data that a study names, each once; file names are relative to `folder`."""
     data_sets: list[Data] = []
-    for source in spec.data:
-        data_sets += _data_of_source(spec, source, folder)
+    # What is said of the heights of one file would stand there for each of hundreds.
+    with quieted("termsel.formats.heights", logging.WARNING):
+        for source in spec.data:
+            data_sets += _data_of_source(spec, source, folder)
+    _say_heights(data_sets)
     labels: set[str] = set()
     for data in data_sets:
         # Tables call data by their labels.
@@ -59,6 +64,24 @@ def data_of(spec: Spec, folder: Path) -> list[Data]:
         raise TermselError(data_sets[0].reason, hint=None if len(data_sets) == 1 else
                            f"None of the {len(data_sets)} data can be read; this is the first.")
     return data_sets
+
+
+def _say_heights(data_sets: Sequence[Data]) -> None:
+    """Say once which heights came from a raster, for all files together."""
+    statements = [data.features.heights for data in data_sets if data.features is not None]
+    counts: dict[str, list[tuple[int, int]]] = {}
+    for statement in statements:
+        if match := _HEIGHTS.fullmatch(statement):
+            counts.setdefault(match[3], []).append((int(match[1]), int(match[2])))
+    for raster, of_files in counts.items():
+        unknown = sum(count for count, _ in of_files)
+        if unknown:
+            log.info("Heights: %d of %d %s%s.", unknown, sum(total for _, total in of_files),
+                     raster, f", in {len(of_files)} files" if len(of_files) > 1 else "")
+
+
+_HEIGHTS = re.compile(r"(\d+) of (\d+) (heights from .*)")
+"""What features state of their heights."""
 
 
 def files_of(spec: Spec, folder: Path) -> list[Path]:

@@ -218,7 +218,7 @@ def _vendor(settings: SetSettings) -> tuple[FeatureSet, Points]:
         bias = (bias + from_middle @ rng.normal(0.0, 1.0, (2, 2))) / 2
     biased = Points(vendor.ids, vendor.image + size * bias, vendor.ground)
     rpc = rpc_of(termsel.fit(FeatureSet(biased, crs=scene.crs), "poly3d", degree=3)).rpc
-    return replace(features, rpc=rpc), independent
+    return replace(features, rpc=rpc.as_delivered()), independent
 
 
 def _anywhere(rng: Generator, count: int) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:

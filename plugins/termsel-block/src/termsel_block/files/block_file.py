@@ -19,7 +19,14 @@ import numpy as np
 from termsel import FeatureSet, TermselError, get, open_raster, read, read_rpc
 from termsel.toolkit import options_of_file, require_regular, unguarded
 from termsel.toolkit.coordinates import LOCAL, normalise
-from termsel.toolkit.files import KINDS_OF_JSON, mismatch_in_words, parts_of, read_toml
+from termsel.toolkit.files import (
+    KINDS_OF_JSON,
+    delivered_rpc,
+    makers_of,
+    mismatch_in_words,
+    parts_of,
+    read_toml,
+)
 from termsel_block.block import CORRECTIONS, Block, BlockImage, Ties
 from termsel_block.estimation.equations import pairs
 from termsel_block.files.asp import asp_rows, is_asp
@@ -228,8 +235,8 @@ def _read_image(stated: _Image, folder: Path, crs: str, dem: Path | None, path: 
     elif raster is not None:
         # An image need not have one.
         with suppress(TermselError):
-            rpc = read_rpc(raster)
-            rpc_file = raster
+            rpc = delivered_rpc(raster)
+            rpc_file = None if rpc is None else raster
     # Before minutes of adjustment.
     if rpc is not None and find_spec("termsel_rpc") is None:
         raise TermselError("an image with an RPC requires the package termsel-rpc, which is not "
@@ -247,6 +254,11 @@ def _read_image(stated: _Image, folder: Path, crs: str, dem: Path | None, path: 
     of_dem = frozenset[str]()
     if stated.points or stated.lines:
         features = _control_features(stated, folder, crs, dem, path)
+        if rpc is not None and (makers := makers_of(rpc, features)):
+            raise TermselError(
+                f"the RPC of image {stated.name!r} was fitted by termsel to {len(makers)} of its "
+                f"{len(features)} control features, which would seem to confirm it", file=rpc_file,
+                hint="Give the RPC that the vendor delivered, or other control.", ids=makers)
         of_dem = frozenset() if dem is None else _without_height(stated, folder, crs)
     return BlockImage(stated.name, features, rpc, rpc_file, raster, size=size, model=stated.model,
                       of_dem=of_dem, options=options)

@@ -27,6 +27,18 @@ STATED_REACH = 0.0005
 POSITION_SPREAD = 50.0
 """Standard deviation of a position without one [m]: a navigator's, or a phone's at worst."""
 
+LARGEST_SPREAD = 0.5
+"""Relative standard deviation at which a focal length is not known: a slip in the unit."""
+
+FIXED = "fixed"
+"""What is said of a figure that the points must not change."""
+
+FIXED_SPREAD = 1e-6
+"""Relative standard deviation of a focal length that is fixed."""
+
+FIXED_REACH = 1e-3
+"""Scale of the prior of a principal point that is fixed [px]."""
+
 HEIGHT_SPREAD = 0.1
 """Relative standard deviation of a flying height: as flight plans were kept."""
 
@@ -35,14 +47,20 @@ OPTIONS = (
                            "NAME.json."),
     Option("camera_focal", None, "Focal length: 3131.8 [px], or 153.2mm with camera_pixel or the "
                                  "name of a camera."),
+    Option("camera_focal_spread", None, "How well the focal length is known, as a standard "
+                                        "deviation: 0.3%, 5px, or fixed. By default 1% where it is "
+                                        "stated, and of a camera by name as its type varies."),
     Option("camera_pixel", None, "Size of a pixel on the film or sensor [um], such as 21."),
     Option("camera_principal_point", None, "Line and sample of the principal point [px]: "
                                            "703,749.5. By default the middle of the image."),
+    Option("camera_principal_point_spread", None, "How well the principal point is known [px], or "
+                                                  "fixed. By default 0.2% of half the diagonal of "
+                                                  "the image, and 0.05% where it is stated."),
     Option("camera_distortion", None, "k1,k2,p1,p2,k3 of the lens, as OpenCV and OpenDroneMap "
                                       "state them; fewer are the first of these."),
     Option("camera_position", None, "Rough position of the camera in the CRS of the points: x,y,z, "
                                     "or x,y,z,s with its standard deviation [m]."),
-    Option("camera_height", None, "Rough flying height above the ground [m]."))
+    Option("camera_height", None, "Rough flying height above the ground [m], known to 10%."))
 """Options of reading; columns of the points have the same names."""
 
 NAMES = tuple(option.name for option in OPTIONS)
@@ -105,7 +123,7 @@ def interior_of(features: FeatureSet) -> Interior | None:
         interior = _camera_of_file(named, stated["camera"])
     else:
         interior = _focal_length(stated, None, size)
-    interior = _with_middle(interior, stated, size)
+    interior = _with_spreads(_with_middle(interior, stated, size), stated)
     if "camera_distortion" in stated:
         interior = replace(interior, distortion=_numbers(stated, "camera_distortion", range(1, 6)))
     return _with_place(interior, stated)
@@ -168,8 +186,8 @@ def _camera_of_file(content: Mapping[str, Any], path: str) -> Interior:
     (focal,) = _numbers({f"focal of {path}": values["focal"]}, f"focal of {path}", (1,))
     interior = Interior(_positive(focal, f"focal of {path}"), source=f"the camera file {path}")
     if values["focal_spread"]:
-        (spread,) = _numbers(values, "focal_spread", (1,))
-        interior = replace(interior, focal_spread=_positive(spread, "focal_spread"))
+        interior = replace(interior, focal_spread=_focal_spread(
+            values["focal_spread"], f"focal_spread of {path}", interior.focal))
     if values["principal_point"]:
         line, sample = _numbers(values, "principal_point", (2,))
         interior = replace(interior, line=line, sample=sample)
@@ -223,6 +241,41 @@ def _with_middle(interior: Interior, stated: Mapping[str, str],
         return interior
     line, sample = (np.array(size) - 1.0) / 2.0
     return replace(interior, line=float(line), sample=float(sample), reach=REACH * half)
+
+
+def _with_spreads(interior: Interior, stated: Mapping[str, str]) -> Interior:
+    """Return an interior with how well it is known, where that is stated."""
+    if "camera_focal_spread" in stated:
+        interior = replace(interior, focal_spread=_focal_spread(
+            stated["camera_focal_spread"], "camera_focal_spread", interior.focal))
+    if "camera_principal_point_spread" in stated:
+        name = "camera_principal_point_spread"
+        if not np.isfinite(interior.line):
+            raise TermselError(f"{name} is of a principal point that nothing tells",
+                               hint="State camera_principal_point, or the image: --image FILE.")
+        if stated[name].lower() == FIXED:
+            return replace(interior, reach=FIXED_REACH)
+        (reach,) = _numbers({name: stated[name].lower().removesuffix("px")}, name, (1,))
+        interior = replace(interior, reach=max(_positive(reach, name), FIXED_REACH))
+    return interior
+
+
+def _focal_spread(text: str, name: str, focal: float) -> float:
+    """Return the relative standard deviation of a focal length [px] that a text states."""
+    text = text.lower().replace(" ", "")
+    if text in (FIXED, "0"):
+        return FIXED_SPREAD
+    unit = next((unit for unit in ("%", "px") if text.endswith(unit)), "")
+    try:
+        (number,) = _numbers({name: text.removesuffix(unit)}, name, (1,))
+    except TermselError as error:
+        error.hint = f"Write 0.3% or 5px, or {FIXED}."
+        raise
+    spread = _positive(number, name) / {"%": 100.0, "px": focal, "": 1.0}[unit]
+    if spread >= LARGEST_SPREAD:
+        raise TermselError(f"{name}={text} is {spread:.0%} of the focal length",
+                           hint=f"Write 0.3% or 5px, or {FIXED}.")
+    return max(spread, FIXED_SPREAD)
 
 
 def _with_place(interior: Interior, stated: Mapping[str, str]) -> Interior:

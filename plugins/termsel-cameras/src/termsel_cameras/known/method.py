@@ -23,7 +23,7 @@ from termsel import (
 )
 from termsel.toolkit import BoolArray
 from termsel.toolkit.models import Pinhole, camera_next_to
-from termsel_cameras.known.interior import Interior, interior_of
+from termsel_cameras.known.interior import FIXED_SPREAD, Interior, interior_of
 from termsel_cameras.known.lens import FloatArray
 from termsel_cameras.known.model import TAILS, KnownFrame
 
@@ -197,7 +197,18 @@ class KnownCamera(Method):
         focal = camera.focal[0] * fitted.scaling.image_scale
         return (f"The camera is known by {interior.source}. It looked {tilt:.0f} deg off the "
                 "vertical "
-                f"from {height:,.0f} m above the points, with a focal length of {focal:,.0f} px.")
+                f"from {height:,.0f} m above the points, with a focal length of {focal:,.1f} px. "
+                f"{_focal_in_words(interior)}")
+
+
+def _focal_in_words(interior: Interior) -> str:
+    """Return with which standard deviation the stated focal length took part."""
+    if interior.focal_spread <= FIXED_SPREAD:
+        return "It is fixed, as stated."
+    spread = interior.focal_spread * interior.focal
+    return (f"{interior.focal:,.1f} px are stated, and taken to be known to "
+            f"{100 * interior.focal_spread:.2g} % ({spread:.2g} px, one standard deviation); "
+            "--set camera_focal_spread states another, or fixed.")
 
 
 def _interior(control: FitData) -> Interior:

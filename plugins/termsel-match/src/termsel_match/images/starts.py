@@ -141,7 +141,10 @@ def _start_by_rpc(path: Path) -> Start:
     rpc = read_rpc(path)
     middle = rpc.ground_offset[2]
     half = abs(rpc.ground_scale[2])
-    return Start(f"the RPC of {path.name}", "EPSG:4979", middle, rpc.project, rpc.locate,
+    description = f"the RPC of {path.name}"
+    if rpc.control_count:
+        description += f", which termsel fitted to {rpc.control_count} control features"
+    return Start(description, "EPSG:4979", middle, rpc.project, rpc.locate,
                  heights=(middle - half, middle + half), bias=rpc.error_bias)
 
 

@@ -147,7 +147,7 @@ class World:
         ground = np.column_stack([nominal.locate(grid[:, :2], grid[:, 2]), grid[:, 2]])
         control = FeatureSet(Points(tuple(map(str, range(len(grid)))), grid[:, :2], ground),
                              crs="EPSG:4979", image_size=(self.size, self.size))
-        return rpc_of(fit(control, "poly3d", degree=3)).rpc
+        return rpc_of(fit(control, "poly3d", degree=3)).rpc.as_delivered()
 
     @cached_property
     def terrain(self) -> Terrain:

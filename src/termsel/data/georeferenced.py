@@ -1,0 +1,49 @@
+"""Images that are maps already, given as those in which features were measured."""
+
+from __future__ import annotations
+
+import logging
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+
+from termsel.core.errors import TermselError
+from termsel.data.coordinates.crs import LOCAL, normalise, transformation
+from termsel.data.features import FeatureSet
+from termsel.data.rasters import open_raster, positions
+
+log = logging.getLogger(__name__)
+
+_FAR = 0.02
+"""Share of the diagonal of an image: rough georeferencing of an image as delivered is nearer."""
+
+
+def warn_of_map(features: FeatureSet, image: Path | str) -> None:
+    """Warn of an image whose own georeferencing shows features far from where they were measured.
+
+    A map, rectified before, is easily taken for the image it was made from: it may hold all
+    measured positions, and nothing else would tell.
+    """
+    with open_raster(image) as raster:
+        transform = raster.transform
+        if raster.crs is None or transform.is_identity or transform.is_degenerate \
+                or normalise(features.crs) == LOCAL:
+            return
+        ground = features.ground_vertices()
+        measured = features.image_vertices()
+        # Lines are not conjugate to their vertices: points alone are compared.
+        ground = ground[:len(features.points)]
+        measured = measured[:len(features.points)]
+        expected = np.full_like(measured, np.nan)
+        # A CRS without a way to the other says nothing of the image.
+        with suppress(TermselError):
+            expected = positions(raster, *transformation(
+                features.crs, raster.crs.to_wkt(), for_fit=True)(np.nan_to_num(ground))[:, :2].T)
+        distances = np.linalg.norm(expected - measured, axis=1)
+        distances = distances[np.isfinite(distances)]
+        if len(distances) and np.median(distances) > _FAR * np.hypot(*raster.shape):
+            log.warning(
+                "Warning: %s is georeferenced, and shows the points %.0f px (median) from where "
+                "they were measured. If it is a map made of the image, give the image in its "
+                "place.", Path(image).name, np.median(distances))

@@ -1,0 +1,90 @@
+"""An RPC that was fitted to points, given to a run with these very points."""
+
+from __future__ import annotations
+
+import numpy as np
+from msgspec import convert, json
+
+from termsel.core.errors import TermselError
+from termsel.data.coordinates.crs import to_wgs84
+from termsel.data.features import FloatArray
+from termsel.data.fingerprints import makers_of
+from termsel.data.record.record import RpcNumbers
+from termsel.data.roles import Observations
+from termsel.data.rpc import Rpc
+from termsel.models.base import SensorModel
+
+_FEWEST_TO_DOUBT = 4
+_CHANCE = 5e-4
+"""Share of vendors' RPCs that are doubted by either test although they do not know the points."""
+_FINEST = 0.01
+"""RMSE that no measurements have [px]."""
+_NAMED = 6
+"""Ids in a message."""
+_COUNT = "control_count"
+
+
+def rpc_of_model(model: SensorModel) -> Rpc | None:
+    """Return the RPC that an option of a model holds, if there is one."""
+    text = model.options.get("rpc")
+    if not isinstance(text, str) or _COUNT not in text:
+        return None
+    numbers = json.decode(text)
+    # Earlier records, and those of blocks, have further keys.
+    return Rpc.from_numbers(convert({name: numbers[name] for name in RpcNumbers.__struct_fields__
+                                     if name in numbers}, RpcNumbers))
+
+
+def refuse_makers(rpc: Rpc | None, observations: Observations) -> None:
+    """Refuse points that an RPC was fitted to: they can neither correct nor test it."""
+    if rpc is None or not rpc.control_digests:
+        return
+    features = observations.together
+    features = features.with_(points=features.points.join_unchecked(observations.independent))
+    makers = makers_of(rpc, features)
+    if not makers:
+        return
+    named = ", ".join(makers[:_NAMED]) + (", ..." if len(makers) > _NAMED else "")
+    raise TermselError(
+        f"the RPC {rpc.source or 'that is given'} was fitted by termsel to {len(makers)} of these "
+        f"{len(features)} features ({named}). They would seem to confirm it, and all accuracy "
+        "stated from them would be too good",
+        hint="Give the vendor's RPC in its place, or none (without --rpc one that termsel exported "
+             "is not used); or give other points, and these the role off.", ids=makers)
+
+
+def doubt_of_fitted_rpc(observations: Observations) -> str:
+    """Return that an RPC seems to have been fitted to the points that are to test it, or ""."""
+    for features in (observations.together, observations.control):
+        rpc = features.rpc
+        points = features.points.take(np.isfinite(features.points.ground).all(axis=1))
+        if rpc is None or len(points) < _FEWEST_TO_DOUBT:
+            continue
+        image = rpc.project(to_wgs84(features.crs)(points.ground))
+        errors = points.image - image
+        shift = np.ones((len(image), 1))
+        affine = np.column_stack([shift, image - image.mean(axis=0)])
+        rmse = float(np.sqrt((errors**2).sum(axis=1).mean()))
+        if rmse < _FINEST or _is_taken_away(shift, errors) or _is_taken_away(affine, errors):
+            return ("The RPC fits these points as if it had been fitted to them: "
+                    f"{rmse:.2g} px at {len(errors)} points as delivered, without any shift. If "
+                    "so, they cannot test it, and the accuracy stated is too good. Give the RPC "
+                    "that the vendor delivered.")
+    return ""
+
+
+def _is_taken_away(columns: FloatArray, errors: FloatArray) -> bool:
+    """Return whether errors have less of a correction with these columns than chance gives them.
+
+    Errors of an RPC that does not know the points have some shift and drift, if only by chance.
+    Those that least squares leave have none: the sum of squares that a correction takes away is
+    then too small, by the lower tail of the F distribution.
+    """
+    from scipy.special import fdtr  # other runs need not import it
+
+    corrected = errors - columns @ np.linalg.lstsq(columns, errors, rcond=None)[0]
+    remaining = float((corrected**2).sum())
+    n_terms = 2 * columns.shape[1]
+    freedom = errors.size - n_terms
+    ratio = (float((errors**2).sum()) - remaining) / n_terms / (remaining / freedom)
+    return bool(fdtr(n_terms, freedom, ratio) < _CHANCE)
