@@ -122,11 +122,12 @@ def silence_warnings() -> None:
 
 def end_if_interrupted(code: object) -> None:
     """End the program after a command that failed because of Ctrl-C; `code` is its exit code."""
-    # A library may have made another error of the interrupt, such as "cannot be imported". Then
-    # nothing has been said of it yet.
+    # answered() is True if Ctrl-C came and nothing has handled it yet; asking handles it. A library
+    # may have made another error of the interrupt, such as "cannot be imported": then nobody has
+    # been told, and leave() prints "Interrupted." before it ends the program.
     if answered() and code not in (0, INTERRUPTED):
         leave()
-    # The command has said what it kept, and how to go on.
+    # The command has said what it kept, and how to go on: end() prints nothing more.
     if code == INTERRUPTED:
         end()
 

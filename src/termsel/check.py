@@ -415,7 +415,10 @@ class Axis:
         return False, largest
 
     def score(self, used: Sequence[int]) -> Fraction | None:
-        """Return the score of one selection, None if it has none: rounded down, hence a bound."""
+        """Return the score of the columns `used`, rounded down, hence a bound; None if it has none.
+
+        It has none if the columns are linearly dependent, or a denominator is below the margin.
+        """
         # The normal equations of the selection, exactly: x / det are its coefficients.
         matrix = []
         for i in used:
@@ -425,15 +428,16 @@ class Axis:
             return None
         total = 0
         for m in range(self.checks):
-            # Both times det, so that all stays in integers.
+            # The score is the sum over m of ((e_mk - sum_j e_mj x_j) / (1 + sum_j d_mj x_j))^2.
+            # Both are multiplied by unit and det, so that all stays in integers.
             error = self.e[m][-1] * det - sum(
                 self.e[m][j] * v for j, v in zip(used, x, strict=True))
-            below = self.unit * det
+            denominator = self.unit * det
             if self.rational:
-                below = sum(self.d[m][j] * v for j, v in zip(used, x, strict=True)) + below
-                if below < self.margin * self.unit * det:
+                denominator += sum(self.d[m][j] * v for j, v in zip(used, x, strict=True))
+                if denominator < self.margin * self.unit * det:
                     return None
-            total += error * error * _ONE // (below * below)
+            total += error * error * _ONE // (denominator * denominator)
         return Fraction(total, _ONE)
 
 

@@ -116,9 +116,10 @@ def _sum(blocks: FloatArray, features: BoolArray, total: FloatArray) -> None:
 @compiled
 def _reduce(total: FloatArray, triangle: FloatArray, lower: FloatArray,
             source: FloatArray) -> float:
-    """Turn summed blocks into k rows with the same solutions; return the condition, or infinity.
+    """Turn summed blocks into k rows with the same solutions; return their condition.
 
-    The condition is tr(G) tr(G^-1), which is at least that of G.
+    The condition is tr(G) tr(G^-1), which is at least that of G; infinite if G is not positive
+    definite.
     """
     k = len(triangle)
     # Cholesky's triangle of G, row by row as the blocks are packed; L^-1 of the right-hand side.

@@ -36,7 +36,7 @@ class LazyKernel:
 
     @cached_property
     def _numba_type_(self) -> Any:
-        """What numba asks for where a kernel that it compiles uses this."""
+        """The numba type of this function, which numba asks for where another kernel calls it."""
         from termsel.adjustment.dispatchers import type_of
 
         return type_of(self.inner_dispatcher)

@@ -109,7 +109,10 @@ def type_of(dispatcher: Any) -> types.Type:
 
 
 def dispatcher_of(function: Callable[..., Any], flags: dict[str, Any]) -> Any:
-    """Return what compiles a function for the types it is called with (see `compiled`)."""
+    """Return numba's dispatcher of a function, which compiles it for the types of each call.
+
+    Flags are those of `compiled`. Raises TermselError where numba is told to compile nothing.
+    """
     if numba.config.DISABLE_JIT:  # which intrinsics of the kernels cannot do
         raise TermselError("NUMBA_DISABLE_JIT is set, and termsel cannot compute without compiled "
                            "code", hint="Unset NUMBA_DISABLE_JIT, then repeat the command.")
@@ -120,8 +123,11 @@ def dispatcher_of(function: Callable[..., Any], flags: dict[str, Any]) -> Any:
     template_of = dispatcher.get_call_template
 
     def template_of_plain_types(args: Iterable[Any], keywords: Mapping[str, Any]) -> Any:
-        """Take a counter that begins with a constant for any integer, lest what is called with it
-        be compiled for that constant, too."""
+        """Return the template of a call in which a constant counts as any integer.
+
+        Else a counter that begins with a constant would have its callee compiled for that constant,
+        too.
+        """
         plain_keywords = {name: types.unliteral(type_) for name, type_ in keywords.items()}
         return template_of(tuple(map(types.unliteral, args)), plain_keywords)
 

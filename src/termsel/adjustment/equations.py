@@ -54,7 +54,10 @@ class Equations:
                          None if self.prior is None else self.prior[columns])
 
     def with_prior(self) -> tuple[FloatArray, FloatArray]:
-        """Return design matrix and right-hand side with the pseudo-observations as last rows."""
+        """Return design matrix (m + q, k) and right-hand side (m + q,), pseudo-observations last.
+
+        There are q of them, one for each term that has a prior.
+        """
         if self.prior is None:
             return self.A, self.b
         rows = np.diag(self.prior)[self.prior > 0]  # weight times coefficient is 0
@@ -104,7 +107,8 @@ def row_axes(A: FloatArray, axis: IntArray) -> IntArray:
 
 
 def weights_of(points: Points) -> FloatArray:
-    """Return by what the equations of points are multiplied, shape (n, 2)."""
+    """Return the factors of the points' equations, (n, 2): median sigma by sigma; 1 without sigma.
+    """
     return (np.ones_like(points.image) if points.sigma is None
             else np.asarray(median(points.sigma.ravel()) / points.sigma))
 

@@ -91,7 +91,10 @@ def least_distances(quotients: Quotients, systems: tuple[IndependentPart, ...], 
 
 def _steps(system: Quotients, prior: FloatArray | None, terms: BoolArray, x: FloatArray,
            active: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return full steps (p, k), what they would take from the distances, and the squares (p,)."""
+    """Return full steps (p, k), the norms that they take from the distances (p,), and squares (p,).
+
+    The steps of selections beyond a pole, or with dependent columns, are 0.
+    """
     v, quotients, factors = system.misfits(x, active)
     step = np.zeros_like(x)
     gain = np.zeros(len(x))

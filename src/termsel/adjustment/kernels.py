@@ -36,9 +36,10 @@ from termsel.data.features import BoolArray, FloatArray, IntArray
 # Twins in a population of masks.
 
 def distinct(columns: BoolArray, rows: BoolArray) -> tuple[IntArray, IntArray]:
-    """Return the first occurrence of every distinct mask, and the number of each mask among these.
+    """Return the first index of every distinct mask, (d,), and which of these each mask is, (p,).
 
-    It takes some hundredths of a solution's time, and a converging population is full of twins.
+    Masks are the rows of columns and of rows together, (p, k) and (p, n). It takes some hundredths
+    of a solution's time, and a converging population is full of twins.
     """
     bits = np.packbits(np.concatenate([columns, rows], axis=1), axis=1)
     masks = bits.view(f"V{bits.shape[1]}")[:, 0].tolist()
@@ -265,7 +266,10 @@ def _workspace(k: int, m: int) -> tuple[FloatArray, Reflections, IntArray, UintA
 
 
 def _triangle(source: FloatArray) -> FloatArray:
-    """Reduce all columns and the right-hand side; not by LAPACK, whose rounding varies."""
+    """Return k rows (at most m) with the same solutions as the source, (m, k + 2), by reflections.
+
+    Not by LAPACK, whose rounding varies from machine to machine.
+    """
     m = source.shape[0]
     k = source.shape[1] - 2
     panels, reflections, heights, columns = _workspace(k, m)
@@ -291,7 +295,7 @@ class _Prepared:
 
     @cached_property
     def blocks(self) -> FloatArray | None:
-        """Normal equations of every feature, where they pay and are safe."""
+        """Normal equations of every feature; None where they do not pay, or are not safe."""
         return blocks_of(self.source, self.feature, self.triangle)
 
 

@@ -76,7 +76,11 @@ def solve_near(equations: Equations, start: BoolArray, features: BoolArray,
 
 
 def _rows_of(feature: IntArray, n: int) -> IntArray:
-    """Return the rows of each of n features, and of one that has none, filled up by number m."""
+    """Return the rows of each of n features, and of one without any, shape (n + 1, r).
+
+    r is the most rows of a feature; the others are filled up with the number m, one past the last
+    row.
+    """
     number = np.bincount(feature, minlength=n + 1)
     order = np.argsort(feature, kind="stable")
     filled = np.arange(number.max(initial=1)) < number[:, None]
@@ -87,8 +91,11 @@ def _rows_of(feature: IntArray, n: int) -> IntArray:
 
 def _reference_solution(equations: Equations, start: BoolArray,
            ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None:
-    """Return x, V, V R^-T and r of a selection, of all rows and a last one of zeros; None where the
-    selection does not clearly determine x, or kernels are as fast."""
+    """Return x, V, V R^-T and r of a selection, of all rows and a last one of zeros.
+
+    V = A R^-1 and r = b - A x, for the factor R of the rows in use. None where the selection does
+    not clearly determine x, or kernels are as fast.
+    """
     A, b = equations.with_prior()
     used = np.ones(len(b), dtype=bool)
     used[:len(equations.feature)] = start[equations.feature]
@@ -108,7 +115,10 @@ def _reference_solution(equations: Equations, start: BoolArray,
 
 
 def _remaining_shares(gram: FloatArray, start: BoolArray) -> FloatArray:
-    """Return the least share of its rows' weight that each feature leaves to others, (n + 1,)."""
+    """Return the least share of its rows' weight that a feature leaves to others, (n + 1,).
+
+    It is 1 for features that are not in use, and for the last, which has no rows.
+    """
     shares = np.ones(len(gram))
     shares[:-1][start] = 1.0 - np.linalg.eigvalsh(gram[:-1][start])[:, -1]
     return shares

@@ -160,18 +160,19 @@ files hold hardly more digits than this. Of an image of 10,000 px it is 5e-6 px.
 
 
 def by_size(figures: FloatArray, floor: FloatArray | float, share: FloatArray) -> FloatArray:
-    """Return figures of selections, in which those that are rounding are by the size alone.
+    """Return figures of selections, of which mere rounding is replaced by the selection's size.
 
     Figures up to `floor` become that times the selection's share of what may be selected, 0 to 1:
-    they stay below all others, and the smaller selection is the better one.
+    they stay below all others, and the smaller selection is the better one. The shape is that of
+    the figures.
     """
     return np.asarray(np.where(figures <= floor, floor * share, figures))
 
 
 def largest(values: FloatArray) -> IntArray:
-    """Return the index of the largest value of each row, of those equal but for rounding the first.
+    """Return the index of the largest value of each row; among equals, but for rounding, the first.
 
-    Values are not negative, or mark by a negative number what cannot be taken.
+    The last axis is that of a row. Values are not negative; a negative one cannot be chosen.
     """
     maxima = values.max(axis=-1, keepdims=True)
     return np.asarray((values >= maxima - ROUNDING * np.abs(maxima)).argmax(axis=-1))
@@ -215,7 +216,8 @@ class Spectrum:
     freedom: int  # rows less unpenalised columns
 
     def penalties(self, smallest: float) -> FloatArray:
-        """Return penalties from the largest singular value down to `smallest` of it."""
+        """Return 401 penalties from the largest singular value down to `smallest` times it, (401,).
+        """
         return np.asarray(self.values[0] * np.geomspace(1.0, smallest, 401))
 
     def _residual_share(self, penalty: FloatArray) -> FloatArray:

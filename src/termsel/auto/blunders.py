@@ -344,12 +344,12 @@ def _contradicting_features(all_features: FitData, is_other: BoolArray,
 
 def _agreeing_core(control: FitData, test_of_all: TestOfAll,
                    test_of: TestOf = Division.shrunken_test) -> tuple[BoolArray, Test] | None:
-    """Return the features that remain where those that fit worst are set aside, and their test.
+    """Return the features that agree, (n,), and their test; None if they are too few for a test.
 
-    None where they are too few for a test.
-
-    Of points step by step. With lines, which are many, those that have no weight under the biweight
-    are; a whole third where these are more, or the features too few for a quadratic.
+    Of points, those with the largest strain are set aside in steps, and the others tested again
+    after each, until MAX_BLUNDER_SHARE of all is gone. With lines, which are many, the features
+    without weight under the biweight are set aside at once; if those exceed that share, or the
+    features are too few for a quadratic, the share with the largest strain is.
     """
     used = np.ones(len(control), dtype=bool)
     if len(control.features.lines):
@@ -359,9 +359,9 @@ def _agreeing_core(control: FitData, test_of_all: TestOfAll,
     test = test_of_all()
     if test is None:
         return None
-    core = len(control) - int(MAX_BLUNDER_SHARE * len(control))
-    while used.sum() > core:
-        to_set_aside = int(used.sum()) - core
+    fewest_in_core = len(control) - int(MAX_BLUNDER_SHARE * len(control))
+    while used.sum() > fewest_in_core:
+        to_set_aside = int(used.sum()) - fewest_in_core
         # Large steps first, as the worst are clear; each step costs a test.
         count = max(1, int(STEP_SHARE * to_set_aside),
                     min(to_set_aside, int(MIN_STEP_SHARE * len(control))))
@@ -415,7 +415,7 @@ def _readmit_predicted(control: FitData, used: BoolArray, test: Test, test_of_al
         still_out = ~used & test.far(n) & test.decided()
         if not used.all():
             # The closest features understate the noise.
-            strain = test.strain * np.sqrt(_consistency(used.sum() / n))
+            strain = test.strain * np.sqrt(_mean_square_of_closest(used.sum() / n))
             chance = chance_of(strain**2, max(2 * int(used.sum()) - 8, 2))
             still_out &= (chance < FALSE_ALARM / n) & (strain > MIN_STRAIN)
         admissible = np.flatnonzero(~used & ~still_out)
@@ -462,11 +462,13 @@ def _judge_by_field(control: FitData, used: BoolArray, test: Test,
     return used, test
 
 
-def _consistency(share: float) -> float:
-    """Return the mean square of the closest share of normal errors in two coordinates, by that of
-    all."""
+def _mean_square_of_closest(share: float) -> float:
+    """Return E[r^2 given r^2 < b] / E[r^2], where the given share of r^2 lies below b.
+
+    r is the length of a normal error in two coordinates.
+    """
     if share >= 1:
         return 1.0
-    # Half of a chi-squared number is exponential; its mean up to a bound.
+    # X = r^2 / 2 sigma^2 is exponential: E[X given X < b] = 1 - b (1 - p) / p, b = -log(1 - p).
     bound = -np.log1p(-share)
     return float(1.0 - bound * (1.0 - share) / share)

@@ -65,7 +65,10 @@ class Structure(Method):
     without: SensorModel | None
 
     def declines(self, data: FitData) -> str | None:
-        """Return why there is no model for features with heights, or without."""
+        """Return why the structure cannot be fitted, None if it can.
+
+        It needs a model for features with heights, or without, as those of `data` are.
+        """
         # A structure has a model with heights, without, or both.
         if self.model(data.heights) is not None:
             return None
@@ -101,7 +104,8 @@ class _OfPlane(Structure):
     """A projective transformation, which needs a view where heights count."""
 
     def declines(self, data: FitData) -> str | None:
-        """Return why it is not for features with heights: they do more than the view does."""
+        """Return why it cannot be fitted; None if it can, as without heights or in an oblique view.
+        """
         # Off a plane a projective transformation of the plane holds in an oblique view alone.
         if data.heights and view_of(data.scaled.points) is None:
             return f"{self.title} is for features without heights, or for oblique views"

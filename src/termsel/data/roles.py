@@ -83,26 +83,27 @@ def _near(positions: FloatArray) -> IntArray:
 
 
 def merged(features: FeatureSet) -> FeatureSet:
-    """Return features in which twins count as one point, at their mean.
+    """Return features in which twins count as one point, at their mean; lines stay as they are.
 
-    Under id, role and attributes of the first of each group; the same object without twins.
+    Each group has the id, the role and the attributes of its first point. Its sigma is the mean,
+    not less: twins repeat one measurement. Without twins the same object is returned.
     """
     points = features.points
     labels = twins(points.ground)
-    first = np.unique(labels, return_index=True)[1]  # of each group
-    if len(first) == len(points):
+    first_of_group = np.unique(labels, return_index=True)[1]
+    if len(first_of_group) == len(points):
         return features
     count = np.bincount(labels)[:, None]
 
     def mean(values: FloatArray) -> FloatArray:
-        total = np.zeros((len(first), values.shape[1]))
+        total = np.zeros((len(first_of_group), values.shape[1]))
         np.add.at(total, labels, values)
         return total / count
 
     return features.with_(points=Points(
-        tuple(points.ids[i] for i in first), mean(points.image), mean(points.ground),
+        tuple(points.ids[i] for i in first_of_group), mean(points.image), mean(points.ground),
         None if points.sigma is None else mean(points.sigma),
-        tuple(points.roles[i] for i in first), rows_at(points.attributes, first)))
+        tuple(points.roles[i] for i in first_of_group), rows_at(points.attributes, first_of_group)))
 
 
 def with_twins(points: Points, ids: Iterable[str]) -> frozenset[str]:

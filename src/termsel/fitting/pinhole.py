@@ -240,13 +240,17 @@ class Measured:
         return max(float(np.sqrt(total / freedom)), self.noise)
 
     def costs(self, cameras: Cameras, rows: FloatArray, sigma: float) -> FloatArray:
-        """Return twice the minus logarithm of what is left, (s,); infinite with points behind.
+        """Return -2 log posterior of each camera, but for a constant, shape (s,).
 
-        `rows` (s, n) says which points count.
+        It is infinite for a camera with points behind it. Else it is the sum over the points that
+        count (`rows` (s, n) above 0) of their losses, and of the priors of focal length, principal
+        point, tilt and position. `sigma` is the standard deviation of a measurement, in the unit of
+        `image`.
         """
         residuals = (self.image - cameras.image(self.ground)) * self.weights
         losses, _ = self.counting((residuals**2).sum(axis=2), sigma)
         prior_residuals, _ = self.prior(cameras)
+        # Focal length: normal. Principal point and tilt: Cauchy. Position: normal.
         total = np.where(rows > 0.0, losses, 0.0).sum(axis=1) + prior_residuals[:, 0]**2 \
             + 2.0 * np.log1p((prior_residuals[:, 1:3]**2).sum(axis=1)) \
             + 2.0 * np.log1p((prior_residuals[:, self._tilts]**2).sum(axis=1)) \

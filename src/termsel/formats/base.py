@@ -166,7 +166,9 @@ class Reader(Configurable, ABC):
         return {}
 
     def placed(self, error: TermselError, path: Path) -> TermselError:
-        """Return an error that was found after reading with its place in the file.
+        """Return an error that was found after reading, with the file it is in.
+
+        A reader that knows the lines of features overrides this to add line and column.
 
         Parameters
         ----------
@@ -174,6 +176,11 @@ class Reader(Configurable, ABC):
             Its `ids` name the features, its `column` a coordinate, such as "x" or "y2".
         path : pathlib.Path
             As for `read`.
+
+        Returns
+        -------
+        TermselError
+            The same error, with its `file`, and without its `column`.
         """
         error.column = None  # of a table alone
         return located(error, path)

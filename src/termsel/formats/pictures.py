@@ -136,7 +136,7 @@ def _band(raster: Any, number: int, element: ElementTree.Element, thematic: bool
     def text_of(name: str, default: str) -> str:
         return element.findtext(name) or default
 
-    table = _table(element.findall("ColorTable/Entry"))
+    table = _used_colours(element.findall("ColorTable/Entry"))
     names = tuple(name.text or "" for name in element.findall("CategoryNames/Category"))
     # An image of one bit has the type Byte; only this tag tells.
     bits = raster.tags(number, ns="IMAGE_STRUCTURE").get("NBITS", "")
@@ -149,9 +149,9 @@ def _band(raster: Any, number: int, element: ElementTree.Element, thematic: bool
         bits=int(bits) if bits.isdecimal() else None)
 
 
-def _table(entries: Sequence[ElementTree.Element]) -> tuple[Colour, ...]:
-    """Return the colours of a table without the black ones that GDAL fills it up with, but one."""
-    # GDAL fills a table up to 256 entries, mostly with black.
+def _used_colours(entries: Sequence[ElementTree.Element]) -> tuple[Colour, ...]:
+    """Return the colours up to the last one in use: of black entries at the end, one remains."""
+    # GDAL fills a table up to 256 entries, mostly with black. The first of these may be meant.
     used = len(entries)
     while used > 1 and _colour(entries[used - 2]) == _colour(entries[used - 1]) == _BLACK:
         used -= 1

@@ -193,15 +193,18 @@ class Registry:
         return [*self._loader.failures, *chain.from_iterable(of_kinds)]
 
     def hint(self, name: str, *kinds: str) -> str:
-        """Return a sentence on where an unknown name may come from, or nothing."""
+        """Return a sentence on where an unknown name may come from; "" if nothing is known.
+
+        Kinds are those of `entries` that were asked for the name; by default all.
+        """
         if name == "auto":
             return "auto is a strategy: ask for --strategy auto, the default of rfm-terms."
         if missing := self.missing(name):
             return missing
         if kinds == ("writers",) and "tif" in name.lower():
             return "A rectified image is written by termsel rectify."
-        # A name of a plugin that fails is unknown for that reason.
-        # What those of termsel's own provide is listed: others' may be any.
+        # A name may be unknown because its plugin fails. The names of termsel's own packages are
+        # listed; any other that fails may be the one, hence the default [name].
         listed = parts.own_packages()
         broken = sorted({failure.distribution for failure in self.failures(*kinds)
                          if name in listed.get(canonical(failure.distribution), [name])})
@@ -211,7 +214,10 @@ class Registry:
                 "see termsel plugins.")
 
     def missing(self, name: str) -> str:
-        """Return a sentence on the package that a name comes with; nothing if it is installed."""
+        """Return a sentence on the package that a name comes with, and how to install it.
+
+        It is "" if the package is installed, or no package of termsel has the name.
+        """
         # "distribution:name" says the package; else the list of the packages' names.
         package = canonical(name.rpartition(":")[0])
         if not package:

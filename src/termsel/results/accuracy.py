@@ -67,10 +67,10 @@ def accuracy_lines(record: Record) -> list[str]:
         measured = _rmse_at_check_points(accuracy).replace("RMSE at", "at")
         level = f"[{100 * predicted.level:.0f} %: "
         return [_prediction(predicted),
-                f"{measured.replace(level, '[')}{_agreement(accuracy, predicted)}",
+                f"{measured.replace(level, '[')}{_agreement_text(accuracy, predicted)}",
                 *_doubts(record, accuracy)]
     return [_rmse_at_check_points(accuracy), f"{PREDICTED_BY} {rounded(predicted.rmse)} px"
-            f"{_agreement(accuracy, predicted)}", *_doubts(record, accuracy)]
+            f"{_agreement_text(accuracy, predicted)}", *_doubts(record, accuracy)]
 
 
 def lattice_of(record: Record) -> tuple[int, int] | None:
@@ -147,8 +147,12 @@ def _rmse_at_check_points(accuracy: Accuracy) -> str:
             f"{counted(image.n, 'independent check point')} {interval(*image.interval)}")
 
 
-def _agreement(accuracy: Accuracy, predicted: Predicted) -> str:
-    """Return whether the measured RMSE lies in the interval of the predicted one."""
+def _agreement_text(accuracy: Accuracy, predicted: Predicted) -> str:
+    """Return how a line on the measured RMSE ends, from its colon on.
+
+    It says that the measured RMSE lies in the interval of the predicted one (consistent), is
+    outside by chance, or that the prediction was too small or too large.
+    """
     measured = accuracy.image.total
     if predicted.low <= measured <= predicted.high:
         return ": consistent"

@@ -115,7 +115,7 @@ def _accuracy(record: Record) -> Iterator[Block]:
     predicted = record.predicted
     if accuracy:
         yield from _figures(accuracy, f", which took no part in any "
-                                      f"choice{_seen_before(accuracy)}")
+                                      f"choice{_scope_of_choice(accuracy)}")
         if record.accuracy_without:
             yield from _figures(record.accuracy_without, f", without {contradicting(record)}")
         if predicted and (_predicts_fit_to_all(record) or not predicted_first(record)):
@@ -139,8 +139,11 @@ def _accuracy(record: Record) -> Iterator[Block]:
                "exports.")
 
 
-def _seen_before(accuracy: Accuracy) -> str:
-    """Return which earlier results showed how many of the independent points."""
+def _scope_of_choice(accuracy: Accuracy) -> str:
+    """Return how "which took no part in any choice" goes on, if check points were shown before.
+
+    Such as " of this run (3 of them already assessed the fit in A)"; "" if they were not.
+    """
     if not accuracy.spent_by:
         return ""
     reused = f"{accuracy.spent_count} of them" if accuracy.spent_count < accuracy.image.n \

@@ -70,6 +70,7 @@ def fits_of(record: Record) -> Iterator[tuple[str, bool, int, RmseByRole]]:
     Of each the label, whether it was fitted to the check points too, its number of terms, and its
     RMSE.
     """
+    # The strategy auto fits to control and check points together, a search to control alone.
     yield THIS, bool(record.strategy), record.selection.n_terms, record.rmse
     for baseline in record.baselines:
         fitted_to_check = "check" in baseline.fitted_to

@@ -26,10 +26,11 @@ def notebook_observer(title: str) -> Callable[[Progress], None] | None:
         return None
 
     def observe(progress: Progress) -> None:
+        """Show the share done, the best value (- if none is valid yet) and the evaluations."""
         # A search without a budget has no share that is done.
         share = "" if progress.share is None else f" {100 * progress.share:.0f} %,"
-        values = progress.violation == 0 and math.isfinite(progress.best)
-        best = f"{progress.best:.4g}" if values else "-"
+        has_best = progress.violation == 0 and math.isfinite(progress.best)
+        best = f"{progress.best:.4g}" if has_best else "-"
         show(f"{progress.what or title}:{share} best {best}, {progress.evaluations} evaluations",
              progress.share is not None and progress.share >= 1)
 
@@ -52,7 +53,11 @@ def line_of_many(title: str) -> Iterator[Callable[[str, bool], None]]:
 
 
 def _line(title: str) -> Callable[[str, bool], None] | None:
-    """Return what renews a line in a notebook; None elsewhere, or where there is one already."""
+    """Return a function that renews a line in a notebook.
+
+    It takes the text of the line, and whether it is the last one. None outside a notebook, or
+    where another line is shown already.
+    """
     # Where there is a notebook, IPython is imported already.
     shell: Any = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
     if shell is None or not hasattr(shell, "kernel") or _inside.get():

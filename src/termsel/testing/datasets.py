@@ -25,7 +25,7 @@ def ground_in_crs(spec: DatasetSpec) -> None:
 
 
 def alike_each_time(spec: DatasetSpec) -> None:
-    """It loads the same features each time, and in another process."""
+    """It loads the same features each time, and they survive pickle, as between processes."""
     first = _loaded(spec)
     for second in (_loaded(spec), pickled(first)):
         # Compared by checksums, as arrays may hold NaN.
@@ -50,6 +50,7 @@ SUITE = Suite((declares("datasets"), loads_features, ground_in_crs, alike_each_t
 
 def _loaded(spec: DatasetSpec) -> FeatureSet:
     features = spec.load()
+    # `pickled` takes the features there and back, as on their way to another process.
     require(isinstance(features, FeatureSet),
             f"load() must return a FeatureSet, not {type(features).__name__}")
     return features

@@ -86,7 +86,7 @@ class BidiagonalSolutions:
                       self.traces, np.empty(len(form)))
 
     def residuals(self, target: FloatArray) -> FloatArray:
-        """Return what the solutions leave of a target (m,), shape (u, m)."""
+        """Return the residuals of every solution for a target (m,), shape (u, m)."""
         along = (self._rotation @ target).T.take(self._form, axis=1)                    # (m, u)
         residuals = np.zeros((len(self._form), len(target)))
         _add_shrunken_residuals(self._root, self._upper, along, self._rotation, self._form,

@@ -235,7 +235,7 @@ def radar_views(positions: FloatArray, azimuth: float, latitude: float, *,
 
 
 def frame_views(positions: FloatArray, azimuth: float) -> tuple[FloatArray, ...]:
-    """Return slopes of places in photos of so many frame cameras (see `scanner_views`)."""
+    """Return slopes of places in photos of N_CAMERAS frame cameras (see `scanner_views`)."""
     rng = np.random.default_rng(0)
     n = N_CAMERAS
     extent = 2.0 * np.abs(positions[:, :2]).max()

@@ -184,14 +184,14 @@ class FieldSolutions:
 
     @property
     def posterior(self) -> Posterior:
-        """All solutions, of what is likely enough to matter."""
+        """All solutions; only to be asked of fields that `without_unlikely` has kept."""
         assert self.grid is not None
         return self.grid
 
     def without_unlikely(self, highest: float) -> FieldSolutions:
-        """Return itself, without what many points leave in memory where others are far likelier.
+        """Return these solutions, without their arrays if others are far likelier.
 
-        `highest` is the greatest log evidence.
+        `highest` is the greatest log evidence of all; arrays of many points fill the memory.
         """
         likely = self.log_evidence > highest - MAX_LOG_RATIO
         return self if likely else replace(self, grid=None)
@@ -210,7 +210,7 @@ class GaussianProcess:
 
     @cached_property
     def probabilities(self) -> FloatArray:
-        """Probability of each of the solutions."""
+        """Probability of each of the s solutions, (s,)."""
         # Evidence by the sum of evidences, of which only ratios are known.
         return normalized(np.array([solution.log_evidence for solution in self.solutions]))[0]
 
@@ -251,7 +251,7 @@ class GaussianProcess:
 
     @cached_property
     def held_out(self) -> HeldOutPredictions:
-        """What all points but one predict for it, for each point, under all solutions."""
+        """The prediction of each point by all others, averaged over all solutions."""
         solutions = [solution for _, solution in self._likely_solutions]
         predictions = [solution.posterior.held_out for solution in solutions]
         logs = np.empty((len(solutions), len(self.points)))
@@ -323,7 +323,7 @@ class GaussianProcess:
 
     @cached_property
     def _coefficients(self) -> tuple[FloatArray, list[tuple[tuple[float, float], FloatArray]]]:
-        """Averaged coefficients of the monomials, and those of the knots of each field by lengths.
+        """Averaged coefficients (k, 2) of monomials, and the lengths and (knots, 2) of each field.
         """
         lead = len(self.to_image)
         terms = len(self.exponents)
@@ -365,7 +365,10 @@ def fit_gaussian_process(points: Points, variables: int) -> GaussianProcess | No
 @lru_cache(maxsize=1)  # of many points one takes a great part of the memory
 def _cached_gaussian_process(measurements: Measurements,
                              variables: int) -> GaussianProcess | None:
-    """Return the process of points; a fit asks for the same one many times."""
+    """Return the process of points; None if they are too few for it (see `polynomial_posterior`).
+
+    It is cached, since one fit asks for it many times.
+    """
     points = measurements.points
     exponents = graded_exponents(FIELD_DEGREE, variables)
     order = np.array(exponents).sum(axis=1)
@@ -420,7 +423,7 @@ def _cached_gaussian_process(measurements: Measurements,
 
 def _solutions_of(grid: Posterior, lengths: tuple[float, float] | None, whitening: FloatArray,
                   weight: float = 1.0) -> FieldSolutions:
-    """Return solutions with their evidence, by what is believed of the lengths beforehand."""
+    """Return solutions with their log evidence, the prior probability of the lengths in it."""
     # Each pair of lengths shares its probability among the scales that are tried with it.
     prior = _prior_probability(lengths) * weight
     return FieldSolutions(grid, grid.cells.log_evidence + np.log(prior / len(grid.scales)), lengths,
@@ -428,7 +431,10 @@ def _solutions_of(grid: Posterior, lengths: tuple[float, float] | None, whitenin
 
 
 def _spline_weight(points: int) -> float:
-    """Return how far a spline is a course of its own for so many points in a plane, 1 to 0."""
+    """Return the prior weight of a spline next to fields, 1 to 0, by the number of points.
+
+    Points are in a plane; fields with heights know no spline.
+    """
     # From certain at SPLINE_SURE_POINTS to none at SPLINE_MAX_POINTS, in a straight line.
     share = (SPLINE_MAX_POINTS - points) / (SPLINE_MAX_POINTS - SPLINE_SURE_POINTS)
     return float(np.clip(share, 0.0, 1.0))
@@ -473,7 +479,10 @@ def _prior_probability(lengths: tuple[float, float] | None) -> float:
 
 def _columns_with_field(columns: FloatArray, positions: FloatArray, knots: FloatArray,
                         lengths: tuple[float, float] | None, whitening: FloatArray) -> FloatArray:
-    """Return the monomials, and the columns that span a field of some lengths."""
+    """Return monomials (n, k) and the columns that span a field of some lengths, (n, k + c).
+
+    Without lengths there is no field, and the monomials are returned alone.
+    """
     if lengths is None:
         return columns
     return np.concatenate(
@@ -481,7 +490,10 @@ def _columns_with_field(columns: FloatArray, positions: FloatArray, knots: Float
 
 
 def _whitening_matrix(knots: FloatArray, lengths: tuple[float, float] | None) -> FloatArray:
-    """Return what makes coefficients of a field uncorrelated, of one variance, shape (c, k)."""
+    """Return W (c, k): coefficients W' u of the k knots have the field's covariance if u is white.
+
+    Shape (0, 0) without lengths, hence without a field.
+    """
     if lengths is None:
         return np.empty((0, 0))
     covariances = _covariances(knots, knots, lengths)

@@ -47,7 +47,10 @@ class HeldOutPredictions:
 
 
 def chance_of(statistic: FloatArray, freedom: int, pairs: int = 1) -> FloatArray:
-    """Return the chance of a larger F with 2 `pairs` and `freedom` degrees: scipy's takes long."""
+    """Return the chance of a larger F than each statistic, of its shape.
+
+    F has 2 `pairs` and `freedom` degrees of freedom. SciPy's takes long.
+    """
     ratio = 2 * pairs * statistic / freedom
     term = total = np.exp(-freedom / 2 * np.log1p(ratio))
     for i in range(pairs - 1):  # the incomplete beta function of a whole number
@@ -236,5 +239,5 @@ def _fill_held_out_figures(line: AxisErrors, sample: AxisErrors, square: FloatAr
 
 
 def needs_compilation(points: int) -> bool:
-    """Return whether so many points will first spend some seconds on compilation."""
+    """Return whether this number of points will first spend some seconds on compilation."""
     return points >= MIN_POINTS and not is_compiled(_fill_held_out_figures)

@@ -100,7 +100,7 @@ class SplineColumns:
 
 
 def batches_of(n: int) -> list[slice]:
-    """Return all of n places, so many at once."""
+    """Return slices that cover n places, of at most GROUND_BATCH each; none if n is 0."""
     return [slice(start, start + GROUND_BATCH) for start in range(0, n, GROUND_BATCH)]
 
 
@@ -155,6 +155,7 @@ def spline_field(knots: FloatArray) -> SplineField:
 
 @lru_cache(maxsize=2)  # a field is asked for its covariances several times
 def _cached_spline_field(coordinates: bytes) -> SplineField:
+    """Return the field of knots, (k, 2), whose bytes are given, so that they can be a key."""
     knots = np.frombuffer(coordinates).reshape(-1, 2)
     affine = _affine_columns(knots)
     to_affine = np.asarray(np.linalg.pinv(affine), dtype=np.float64)
@@ -166,7 +167,7 @@ def _cached_spline_field(coordinates: bytes) -> SplineField:
 
 
 def residual_variance(positions: FloatArray, knots: FloatArray) -> FloatArray:
-    """Return the variance at places of what the affine function that fits the knots leaves."""
+    """Return the variance at places (n, 2) of the field less its affine fit at the knots, (n,)."""
     affine, knot_affine = (_affine_columns(one) for one in (positions, knots))
     fitted = affine @ np.linalg.pinv(knot_affine)
     return np.asarray((fitted * (fitted @ kernel(knots, knots)
@@ -174,7 +175,7 @@ def residual_variance(positions: FloatArray, knots: FloatArray) -> FloatArray:
 
 
 def spline_root(knots: FloatArray) -> FloatArray:
-    """Return what makes coefficients of the kernels uncorrelated, of one variance, shape (k, c)."""
+    """Return B (k, c): the kernels' coefficients B u have the spline's covariance if u is white."""
     affine = _affine_columns(knots)
     residual_maker = np.eye(len(knots)) - affine @ np.linalg.pinv(affine)
     kernels = kernel(knots, knots)
@@ -185,7 +186,7 @@ def spline_root(knots: FloatArray) -> FloatArray:
 
 
 def farthest_points(positions: FloatArray, count: int) -> FloatArray:
-    """Return the places, of more than a count that are far apart, whatever their order."""
+    """Return `count` of the positions (n, 2), far apart, whatever their order; all of fewer."""
     if len(positions) <= count:
         return positions
     # From the place nearest to the middle, always the place farthest from those taken.

@@ -78,7 +78,7 @@ class LinePosterior:
         return float(np.sqrt(self.share @ self.square / self.freedom))
 
     def mean(self) -> tuple[FloatArray, float]:
-        """Return the shrunken coefficients, averaged, and all effective parameters."""
+        """Return the averaged shrunken coefficients, (2 k,), and effective parameters."""
         return self.share @ self.coefficients, float(self.share @ self.effective)
 
     def held_out_errors(self) -> FloatArray:
@@ -176,9 +176,10 @@ def _eigenvalue(a: FloatArray, *, smallest: bool = False) -> FloatArray:
 
 def mean_line_solution(equations: Equations, exponents: Exponents,
                        ) -> tuple[FloatArray, float, FloatArray] | None:
-    """Return `LinePosterior.mean`, then `held_out_errors`, of all solutions for features in use.
+    """Return averaged coefficients (2 k,), effective parameters and held-out errors (m,).
 
-    None as for `line_posterior`.
+    They are those of `LinePosterior.mean` and `held_out_errors`, of all solutions for the m rows in
+    use. None as for `line_posterior`.
     """
     return _cached_mean(equations.A.tobytes(), equations.b.tobytes(), equations.feature.tobytes(),
                         exponents)
@@ -187,7 +188,10 @@ def mean_line_solution(equations: Equations, exponents: Exponents,
 @lru_cache(maxsize=4)  # what is asked for again is among the last four
 def _cached_mean(A: bytes, b: bytes, feature: bytes, exponents: Exponents,
                  ) -> tuple[FloatArray, float, FloatArray] | None:
-    """Return the same; one run asks for that of features without blunders more than once."""
+    """Return what `mean_line_solution` does, given its arrays as bytes, the cache's key.
+
+    One run asks more than once for the solution of the features without blunders.
+    """
     equations = Equations(np.frombuffer(A).reshape(-1, 2 * len(exponents)), np.frombuffer(b),
                           np.frombuffer(feature, dtype=np.intp))
     solutions = line_posterior(equations, exponents, posterior.N_DRAWS, len(equations.b))

@@ -127,7 +127,8 @@ class CameraPriors:
                        size=self.size[which], share=self.share[which])
 
     def covariance_times(self, vectors: FloatArray) -> FloatArray:
-        """Return the covariance of each prior by a vector of its own, (p, c)."""
+        """Return the covariance of each of the p priors times its row of `vectors` (p, c), (p, c).
+        """
         # Cov v = w^2 C v + s^2 D^2 v, without the sum of the matrices.
         by_views = (self.covariances[self.view] @ vectors[..., None])[..., 0]
         return np.asarray(self.width[:, None] ** 2 * by_views
@@ -312,10 +313,7 @@ class CameraSolutions:
         return np.asarray(2 * N_FREE + (self.share * explained).sum(axis=1))
 
     def spread(self, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the variance of what is predicted at places (m, k), shape (p, m, 2).
-
-        And that of the noise, shape (p,).
-        """
+        """Return variances of the prediction at places (m, k), (p, m, 2), and of noise, (p,)."""
         equations = self._equations
         priors = self.priors
         noise = self.share @ self.noise**2
@@ -375,7 +373,10 @@ def _log_normal_density(value: float, deviation: float) -> float:
 
 
 def _stack_axes(columns: FloatArray, weights: FloatArray) -> FloatArray:
-    """Return the rows of line, then those of sample, each with columns of its own."""
+    """Return rows (2 n, 2 k) of line, then of sample, from columns (n, k) that both have.
+
+    The rows of each axis have columns of their own, and are multiplied by its weights, (n, 2).
+    """
     (n, k) = columns.shape
     rows = np.zeros((2 * len(columns), 2 * columns.shape[1]))
     # A block of each axis on the diagonal.

@@ -89,6 +89,10 @@ def scales_of(exponents: IntArray, draws: int | None = None) -> FloatArray:
 
 @lru_cache(maxsize=32)  # a prior is the same for all data
 def _scales_of(exponents_of_terms: Exponents, draws: int) -> FloatArray:
+    """Return scales (s, k) of the terms, from rules and from draws about them (see `scales_of`).
+
+    Each rule is fall^(order - 2) relief^(power of Z); draws are its log-normal neighbours.
+    """
     exponents = np.array(exponents_of_terms)
     order = exponents.sum(axis=1)
     height = exponents[:, 2]
@@ -107,7 +111,7 @@ def _scales_of(exponents_of_terms: Exponents, draws: int) -> FloatArray:
 
 
 def log_prior_of_sizes() -> FloatArray:
-    """Return the logarithm of how likely each size is before the points are looked at.
+    """Return the logarithm of the prior weight of each of PRIOR_SIZES, of their shape.
 
     That of 0 is half of that of an affine image, as line and sample are affine together.
     """
@@ -242,8 +246,10 @@ def _cells(line: AxisEvidence, sample: AxisEvidence, freedom: int, noise: float,
 
 
 def normalized(logarithm: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return probabilities, which add up to 1 along the first axis, and the logarithm of what they
-    had added up to."""
+    """Return probabilities from their logarithms but for a constant, and the log of their old sum.
+
+    The probabilities add up to 1 along the first axis, which the sum lacks.
+    """
     highest = logarithm.max(axis=0)
     share = np.exp(logarithm - highest)
     total = share.sum(axis=0)
@@ -286,13 +292,14 @@ class Posterior:
         return np.asarray(line.square[line_solution] + sample.square[sample_solution] + self.noise)
 
     def mean(self, axis: int) -> tuple[FloatArray, float]:
-        """Return the shrunken coefficients of an axis, averaged, and its effective parameters."""
+        """Return the averaged shrunken coefficients of an axis, (k,), and its effective parameters.
+        """
         solutions = self.solutions[axis]
         share = np.bincount(solutions.solution_of_cell, self.cells.share, len(solutions.effective))
         return share @ solutions.coefficients, float(solutions.effective @ share)
 
     def errors_of(self, points: PointSelection) -> tuple[AxisErrors, AxisErrors]:
-        """Return what the solutions of line and of sample leave of some points."""
+        """Return the errors of some points under the solutions of line, and of sample."""
         line, sample = self.solutions
         line_redundancies = line.redundancies(points)
         same_design = self.designs[0] is self.designs[1]
@@ -302,17 +309,17 @@ class Posterior:
 
     @property
     def batches(self) -> list[slice]:
-        """The points in use, so many at once that the memory holds all solutions of them."""
+        """Slices of the points in use, of as many as the memory holds all solutions of."""
         return [slice(start, min(start + POINTS_AT_ONCE, self.in_use))
                 for start in range(0, self.in_use, POINTS_AT_ONCE)]
 
     @cached_property
     def held_out(self) -> HeldOutPredictions:
-        """What all points but one predict for it, for each point in use."""
+        """The prediction of each point in use by all others."""
         return concatenated([self.held_out_of(batch) for batch in self.batches])
 
     def held_out_of(self, batch: slice) -> HeldOutPredictions:
-        """Return what all points but one predict for it, for some of the points in use."""
+        """Return the prediction of some of the points in use, each by all others in use."""
         square = self.square
         cells = WeightedCells(square, self.noise + MIN_REDUNDANCY * square, self.cells.share,
                               self.cells.log_evidence)
@@ -373,7 +380,8 @@ def posteriors(lead: FloatArray, shrunken: FloatArray, image: FloatArray,
     """Return all solutions as `posterior` does, for d systems with the same free columns (n, f).
 
     The shrunken columns are (d, n, k). After the first few, which may be all, each system has one
-    scale for all others in a group.
+    scale for all others in a group. None with fewer than four degrees of freedom, or dependent
+    columns.
     """
     in_use = len(lead) if in_use is None else in_use
     freedom = 2 * (in_use - lead.shape[1])
@@ -406,7 +414,7 @@ def polynomial_posterior(ground: FloatArray, image: FloatArray, exponents: Expon
     """Return all solutions of a polynomial for points that are all in use (see `posterior`).
 
     The ground (n, 3) is scaled to [-1, 1], the image is (n, 2), of the k exponents affine ones come
-    first; the equations are multiplied by the weights (n, 2), if any.
+    first; the equations are multiplied by the weights (n, 2), if any. None as for `posterior`.
     """
     return _cached_polynomial_posterior(ground.tobytes(), image.tobytes(), exponents,
                                         None if weights is None else weights.tobytes())
@@ -415,7 +423,10 @@ def polynomial_posterior(ground: FloatArray, image: FloatArray, exponents: Expon
 @lru_cache(maxsize=2)
 def _cached_polynomial_posterior(ground: bytes, image: bytes, exponents: Exponents,
                                  weights: bytes | None) -> Posterior | None:
-    """Return the same; a regularised polynomial, and a field that may be none, ask for one."""
+    """Return what `polynomial_posterior` does, given the bytes of its arrays, which are the key.
+
+    It is cached since a regularised polynomial and a field next to it ask for the same one.
+    """
     powers = np.array(exponents)
     order = powers.sum(axis=1)
     measured = np.frombuffer(image).reshape(-1, 2)

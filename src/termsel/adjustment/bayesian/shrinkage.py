@@ -50,7 +50,10 @@ def orthogonal(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _step(columns: FloatArray) -> tuple[FloatArray, FloatArray, float] | None:
-    """Return Q, R and how far the columns were from orthogonal ones; None if R is not found."""
+    """Return Q and R, and the largest entry of |A'A - I|; None if R cannot be computed.
+
+    A are the columns (m, k). Q has their shape, and R is (k, k).
+    """
     from scipy.linalg import blas, lapack  # which fewer columns need not import
 
     gram = columns.T @ columns
@@ -91,7 +94,7 @@ class Design:
 
     @cached_property
     def unexplained_share(self) -> FloatArray:
-        """What no column explains of each point, shape (n,)."""
+        """The share of each point that no column explains, 0 to 1, shape (n,)."""
         if self.explained.shape[1] == len(self.explained):
             return np.zeros(len(self.explained))
         return np.asarray(np.maximum(1.0 - (self.explained**2).sum(axis=1), 0.0))
@@ -102,13 +105,17 @@ class Design:
         return bidiagonal(self.shrunken, self.scales)
 
     def decomposed(self, groups: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Return singular values and right singular vectors of some groups."""
+        """Return singular values (g, r) and right singular vectors (g, r, k) of the scaled columns.
+        """
         _, values, vt = np.linalg.svd(self.shrunken * self.scales[groups, None],
                                       full_matrices=False)
         return values, vt
 
     def unexplained_part(self, target: FloatArray) -> FloatArray:
-        """Return what no column explains, apart: nothing cancels where noise tends to 0."""
+        """Return the part of a target (n,) that no column explains, (n,).
+
+        It is computed apart, so that nothing cancels where noise tends to 0.
+        """
         if self.explained.shape[1] == len(target):
             return np.zeros_like(target)
         return np.asarray(target - self.explained @ (self.explained.T @ target))
@@ -188,7 +195,7 @@ class Shrinkage:
         return np.maximum(redundancies, MIN_REDUNDANCY, out=redundancies)
 
     def solutions(self, target: FloatArray, solution_of_cell: IntArray) -> AxisSolutions:
-        """Return the solutions for what is measured of one axis, `target` (n,).
+        """Return the solutions for the measurements of one axis, `target` (n,).
 
         `solution_of_cell` (c,) is the solution of each cell of the posterior.
         """
@@ -243,7 +250,7 @@ class SharedShrinkage:
             redundancies, MIN_REDUNDANCY, out=redundancies)
 
     def solutions(self, target: FloatArray, solution_of_cell: IntArray) -> AxisSolutions:
-        """Return the solutions for what is measured of one axis (see `Shrinkage.side`)."""
+        """Return the solutions for the measurements of one axis (see `Shrinkage.solutions`)."""
         design = self._design
         redundancies = self.all_redundancies
         assert redundancies is not None
@@ -267,9 +274,9 @@ class SharedShrinkage:
 
 def shrinkage_of(design: Design, group: IntArray, size: IntArray,
                  sizes: FloatArray) -> Shrinkage | SharedShrinkage:
-    """Return what solutions do, by one decomposition where the design and rounding errors allow.
+    """Return the shrunken solutions of a design; the arguments are those of `Shrinkage`.
 
-    It takes what `Shrinkage` takes.
+    All groups share one decomposition where the design and rounding errors allow it, which is fast.
     """
     if design.shared_decomposition is not None:
         shared = SharedShrinkage(design, group, size, sizes)

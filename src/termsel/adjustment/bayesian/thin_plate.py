@@ -89,9 +89,9 @@ class ThinPlates:
             monomials(ground, AFFINE_EXPONENTS) @ self._affine_coefficients + self._field(ground))
 
     def spread(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the variance of the prediction, shape (m, 2), and that of the noise, (2,).
+        """Return the variance of the prediction at places (m, 3), (m, 2), and of the noise, (2,).
 
-        That of the random field whose best prediction the spline is.
+        They are those of the random field whose best prediction the spline is.
         """
         variance = np.empty((len(ground), 2))
         noise = np.empty(2)
@@ -151,18 +151,22 @@ def thin_plates(points: Points, units: tuple[float, float], smoothing: float | N
 @lru_cache(maxsize=4)
 def _cached_splines(measurements: Measurements, units: tuple[float, float],
                     smoothing: float | None, criterion: str) -> ThinPlates | None:
-    """Return the splines of points; a fit asks for the same ones many times."""
+    """Return the splines of points, None as for `thin_plates`, whose other arguments these are.
+
+    They are cached, since one fit asks for them many times.
+    """
     points = measurements.points
-    lead = monomials(points.ground, AFFINE_EXPONENTS)
+    affine_columns = monomials(points.ground, AFFINE_EXPONENTS)
     positions = points.ground[:, :2] * units
     field_columns = SplineColumns(positions, all_knots=smoothing == 0)
     smoothings = SMOOTHINGS if smoothing is None else np.array([smoothing])
     weights = weights_of(points)
     equal_weights = bool((weights[:, 0] == weights[:, 1]).all())
     axes: list[AxisSpline] = []
+    # If line and sample have equal weights, one factorisation serves both; else each has its own.
     for columns in (slice(0, 2),) if equal_weights else (slice(0, 1), slice(1, 2)):
         w = weights[:, columns.start]
-        basis = _basis(lead * w[:, None], positions, w, field_columns)
+        basis = _basis(affine_columns * w[:, None], positions, w, field_columns)
         if basis is None:
             return None
         axes += _axes(basis, points.image[:, columns] * w[:, None], smoothings, criterion)
@@ -212,7 +216,7 @@ class _Reflections:
         return np.asarray(matrix - self.vectors @ (self.triangle @ (self.vectors.T @ matrix)))
 
     def transposed(self, matrix: FloatArray) -> FloatArray:
-        """Return the transpose of Q times a matrix (n, m)."""
+        """Return Q' M of a matrix M (n, m), shape (n, m)."""
         return np.asarray(matrix - self.vectors @ (self.triangle.T @ (self.vectors.T @ matrix)))
 
 
@@ -276,7 +280,7 @@ def _basis_of_knots(q: FloatArray, positions: FloatArray, weights: FloatArray,
 
 def _axes(basis: _Basis, targets: FloatArray, smoothings: FloatArray,
           criterion: str) -> list[AxisSpline]:
-    """Return the splines of so many axes with the same weights, whose targets are (n, a)."""
+    """Return the splines of a axes with the same weights, whose targets are (n, a)."""
     free = targets - basis.q @ (basis.q.T @ targets)
     projections = basis.along(free)
     # What neither affine functions nor kernels span; there M is the identity by the smoothing.

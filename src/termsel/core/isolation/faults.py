@@ -183,7 +183,8 @@ def wrong(definition: Any, method: str, fault: str, hint: str = HINT,
           name: str = "") -> PluginFault:
     """Return the fault of a method, such as "score": what it returned, and what was expected.
 
-    `called` takes the place of the name of the definition.
+    `fault` follows the name of the method in the message, such as "returned None". `name`, if any,
+    is shown instead of the name of the definition. `hint` is what the reader of the message can do.
     """
     file, line = _where_defined(definition, method)
     return PluginFault(f"{name or name_of(definition)}: {method}() {fault}", file=file,
@@ -196,7 +197,7 @@ def blamed(definition: Any, method: str, hint: str = HINT, name: str = "") -> It
 
     termsel's own errors pass, such as a `TermselError` on a file that the user can correct. So does
     all of a class, function or object of termsel. The hint says what to do, where it may be the
-    user's own mistake; `called` takes the place of the name of the definition.
+    user's own mistake; `name`, if any, is shown instead of the name of the definition.
     """
     package = package_of(definition)
     if package == OWN:

@@ -257,13 +257,17 @@ def sniff_table(path: Path, head: bytes, aliases: Aliases, columns: str = "",
             and all(meaning in stated_columns or by_name[meaning] for meaning in required))
 
 
-def _columns(path: Path | None, line: int | None, header: Sequence[str], rows: list[list[str]],
-             aliases: Aliases, stated: Mapping[str, int], fixed: Collection[int], *,
-             flat: bool) -> dict[str, int]:
-    """Return the column of each meaning; of heights none if `flat` and all are missing.
+def _column_by_meaning(path: Path | None, line: int | None, header: Sequence[str],
+                       rows: list[list[str]], aliases: Aliases, stated: Mapping[str, int],
+                       fixed: Collection[int], *, flat: bool) -> dict[str, int]:
+    """Return the number of the column of each meaning, counted from 0.
 
-    Of several columns of one meaning that never have a value in the same row, the cells are put
-    together in the first.
+    `line` is that of the header, for errors; `stated` has the columns that the user named by
+    meaning, `fixed` the columns that nobody can declare, such as those of a geometry. Heights have
+    no column if `flat` and all of theirs are missing. Of several columns of one meaning that never
+    have a value in the same row, the cells are put together in the first.
+
+    Raises TermselError for a meaning whose column is missing, ambiguous, or stated to be another.
     """
     columns: dict[str, int] = {}
     by_name = matches(header, aliases)
@@ -295,7 +299,7 @@ def _columns(path: Path | None, line: int | None, header: Sequence[str], rows: l
                 _merge_into_first(rows, candidates)
             columns[meaning] = candidates[0]
         elif not may_be_missing:
-            _refuse_taken(path, line, header, meaning, by_name[meaning], stated)
+            _refuse_if_column_taken(path, line, header, meaning, by_name[meaning], stated)
             # Advice needs what is known, though some of it may be ambiguous.
             last_by_name = {name: indices[-1] for name, indices in by_name.items() if indices}
             # Nobody can declare a column of deviations that is not there.
@@ -314,9 +318,13 @@ def _columns(path: Path | None, line: int | None, header: Sequence[str], rows: l
     return columns
 
 
-def _refuse_taken(path: Path | None, line: int | None, header: Sequence[str], meaning: str,
-                  named: Sequence[int], stated: Mapping[str, int]) -> None:
-    """Raise a TermselError where the user gave another meaning to the column of this one."""
+def _refuse_if_column_taken(path: Path | None, line: int | None, header: Sequence[str],
+                            meaning: str, named: Sequence[int], stated: Mapping[str, int],
+                            ) -> None:
+    """Raise a TermselError where the user gave another meaning to the column of this one.
+
+    `named` are the columns whose heading means `meaning`, `stated` those of --columns by meaning.
+    """
     for other, column in stated.items():
         if column in named:
             name = header[column].strip()
@@ -457,8 +465,8 @@ def table_of(path: Path | None, cells: Cells, aliases: Aliases, stated: Mapping[
     for meaning in stated.keys() - declared(header, stated).keys():
         raise TermselError(f"there is no column {stated[meaning]!r} for {meaning}", file=path,
                            line=line, hint=f"The columns here are: {', '.join(header)}.")
-    column_of = _columns(path, line, header, rows, aliases, given_columns,
-                     cells.fixed.values(), flat=flat)
+    column_of = _column_by_meaning(path, line, header, rows, aliases, given_columns,
+                                   cells.fixed.values(), flat=flat)
     width = len(header)
     if rows and set(map(len, rows)) != {width}:
         # Spreadsheets leave separators after the last cell.

@@ -232,14 +232,14 @@ class ScoreSystems:
         return replace(node, lower_bound=max(node.lower_bound, bound))
 
     def _rss_bound(self, node: SubtreeNode, best: FloatArray) -> float:
-        """Return a lower bound of the residuals of all subsets of a node.
-
-        It is raised no further than the highest of the best scores of the node's sizes.
-        """
+        """Return a lower bound of the residual sums of squares of all subsets of a node."""
         smallest = len(node.used)
+        # A bound above the worst of the best sums of squares prunes every size: more is not worth
+        # its time. BOUND_ROUNDING (relative) and _slack (absolute) are above its rounding.
         best_of_sizes = best[smallest:smallest + min(node.room, len(node.candidates)) + 1]
         limit = float(best_of_sizes[np.isfinite(best_of_sizes)].max(initial=0.0))
-        bound = node_bound(self._tree(node)[0], 0, limit)
+        tree, _ = self._tree(node)
+        bound = node_bound(tree, 0, limit)
         return bound * (1.0 - BOUND_ROUNDING) - self._slack
 
     def _descendants_bound(self, node: SubtreeNode, vectors: Vectors, limits: Limits,

@@ -52,11 +52,11 @@ class Batch:
 
 
 def setting_of(features: FeatureSet) -> dict[str, Any]:
-    """Return where an image is, for its figures in the journal.
+    """Return where an image is, as figures for its entry in the journal.
 
-    `place` is the middle of its features, `exchanged` that with x and y exchanged, `mirrored`
-    whether the image is a mirror image of the ground; each is None where nothing tells. `doubt`
-    says which axes look swapped.
+    `place` is the longitude and latitude [deg] of the median of its features, `exchanged` the same
+    if x and y are exchanged, `mirrored` whether the image is a mirror image of the ground; each is
+    None where nothing tells. `doubt` is a sentence on axes that look swapped, "" if none do.
     """
     ground = features.ground_vertices()
     # Both orders, so that an exchange of x and y can be told.

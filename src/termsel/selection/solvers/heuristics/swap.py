@@ -45,7 +45,10 @@ def neighbours(genes: Genes, genome: Genome) -> Iterator[Genes]:
 
 
 def _neighbours_in_segment(genes: Genes, genome: Genome, segment: AnySegment) -> Iterator[Genes]:
-    """Yield the genes of a segment one step away, forced ones as they are."""
+    """Yield the genes one step away from those of a segment, (size,), in batches (b, size).
+
+    Forced genes stay.
+    """
     labels = genome.label_slices()[segment.name]
     if isinstance(segment, Bits):
         segment_genome = Genome([segment], on=select(segment.labels, genome.on[labels]),
