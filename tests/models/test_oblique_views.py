@@ -15,7 +15,7 @@ from termsel.auto.blunders import find_blunders
 from termsel.auto.methods import named
 from termsel.auto.rule import has_pole, refusal, validated
 from termsel.data.features import FloatArray
-from termsel.data.fit_data import FitData
+from termsel.data.fit_data import FitData, carriers
 from termsel.data.scaling import scaling_of
 from termsel.data.view import view_of
 from termsel.fitting.accuracy import predicted_by
@@ -353,3 +353,23 @@ def test_only_a_projection_explains_its_held_out_errors_by_leverage(name: str,
     errors = np.ones((9, 2))
     predicted = predicted_by(fitted, errors, 50).rmse
     assert predicted < 1.3 if is_projection else predicted == pytest.approx(np.sqrt(2.0))
+
+
+def test_two_points_off_a_plane_confirm_each_other_in_a_view() -> None:
+    drawn = scene(40, 20, 8, 3)
+    points = drawn.features.points
+    assert carriers(FitData.of(drawn.features)) == ()
+    name, error = chosen_by(drawn)
+    assert name == "pinhole"
+    assert error < 1.0
+    wrong = points.ground.copy()
+    wrong[2, 2] += 12.0
+    changed = replace(drawn.features, points=replace(points, ground=wrong))
+    assert set(carriers(FitData.of(changed))) == {"P02", "P05"}
+
+
+def test_a_view_that_is_hardly_oblique_gets_a_camera_if_it_fits_far_better() -> None:
+    """The nearest point is at 0.81 of the distance of the middle."""
+    name, error = chosen_by(scene(40, 100, 5, 2))
+    assert name == "pinhole"
+    assert error < 1.0

@@ -29,7 +29,7 @@ from termsel.adjustment.bayesian.posterior import (
 )
 from termsel.adjustment.equations import weights_of
 from termsel.adjustment.solve import Adjustment
-from termsel.auto.rule import gain_of
+from termsel.auto.rule import CENTRAL_AFFINE_SHARE, gain_of
 from termsel.auto.shrunken import (
     FIELD_CALLED_FOR,
     Average,
@@ -426,7 +426,8 @@ def may_be_oblique(features: FeatureSet) -> bool:
         return False
     if len(points) >= PINHOLE_MIN_DLT_POINTS:
         view = view_of(points)
-        return view is not None and view.depth < OBLIQUE_DEPTH
+        return view is not None and (view.depth < OBLIQUE_DEPTH
+                                     or view.affine_share < CENTRAL_AFFINE_SHARE)
     return _affine_deviation(points, heights=False) > BENT_DEVIATION
 
 
@@ -437,12 +438,13 @@ def call_for_camera(features: FeatureSet, scaling: Scaling) -> bool:
     if len(features.points) == EXACT_AFFINE_POINTS and not is_off_plane(features.points):
         return False  # a projective transformation sees four points of a plane as they are
     camera = pinhole_of(features, scaling)
-    if camera is None or not 0.0 < camera.view.depth < OBLIQUE_DEPTH:
+    if camera is None or not camera.view.depth > 0.0:
         return False
     # Affine polynomials with heights fit four points exactly.
     deviation = _affine_deviation(features.points,
                                   heights=len(features.points) > EXACT_AFFINE_POINTS)
-    return camera.sigma < CLEARER * deviation
+    share = CLEARER if camera.view.depth < OBLIQUE_DEPTH else CENTRAL_AFFINE_SHARE
+    return camera.sigma < share * deviation
 
 
 def _affine_deviation(points: Points, *, heights: bool) -> float:

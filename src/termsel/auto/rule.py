@@ -129,6 +129,12 @@ CLEAR_MARGIN = 3.0
 """Standard errors by which any other method that no prior contains must be better, since the best
 of several is so partly by luck."""
 
+SUPPORTED_RMSE_RATIO = 0.75
+SUPPORTED_MIN_FEATURES = 12
+"""A central projection that the points support need not be better by standard errors where its
+held-out RMSE is smaller by a quarter, and the errors are so many: what a polynomial misses at a few
+points of the edge hardly counts in logarithms."""
+
 FEWEST_EQUATIONS_OF_CAMERA = 2
 """Equations that a central projection must leave to be held against a method that knows more."""
 
@@ -188,9 +194,9 @@ def best_of(fits: Iterable[Fit], describe: Describe = lambda _: None) -> Choice 
 
     Of methods with a prior, the first is to be beaten by the others by PRIOR_MARGIN standard
     errors; what none of them contains by CLEAR_MARGIN, a central projection by PROJECTION_MARGIN,
-    or by PRIOR_MARGIN where the points support an oblique or near camera. Of those that are so
-    much better, and of the one to be beaten, the one with the smallest RMSE is chosen. Where none
-    has a prior, the smallest RMSE decides.
+    or by PRIOR_MARGIN where the points support an oblique or near camera, or by far in RMSE (see
+    `is_supported_and_smaller`). Of those that are so much better, and of the one to be beaten, the
+    one with the smallest RMSE is chosen. Where none has a prior, the smallest RMSE decides.
     """
     compared = tuple(fits)
     priors = [fitted for fitted in compared if method_of(fitted).has_prior]
@@ -203,7 +209,8 @@ def best_of(fits: Iterable[Fit], describe: Describe = lambda _: None) -> Choice 
     rivals = [
         base,
         *(alternative
-          for alternative in alternatives if gain(alternative, base) > required(alternative, base))
+          for alternative in alternatives if gain(alternative, base) > required(alternative, base)
+          or is_supported_and_smaller(alternative, base))
     ]
     chosen = min(rivals, key=beyond_rounding)
     descriptions = [description for fitted in dict.fromkeys((chosen, base))
@@ -257,6 +264,14 @@ def required(fitted: Fit, base: Fit) -> float:
     return PRIOR_MARGIN if calls_for_camera else PROJECTION_MARGIN
 
 
+def is_supported_and_smaller(fitted: Fit, base: Fit) -> bool:
+    """Return whether a central projection that the points support has errors far smaller."""
+    return (method_of(fitted).central and fitted.view is not None
+            and len(fitted.held_out().squares) >= SUPPORTED_MIN_FEATURES
+            and gain(fitted, base) > 0.0
+            and beyond_rounding(fitted) < SUPPORTED_RMSE_RATIO * beyond_rounding(base))
+
+
 def _equally_sure_margin(base: Fit) -> float:
     """Return by how many standard errors others must be better than one that knows more.
 
@@ -277,8 +292,13 @@ def _reason_for_choice(chosen: Fit, base: Fit, reasons: Sequence[str], alternati
         nearest = chosen if chosen is not base else max(
             alternatives, key=lambda fitted: gain(fitted, base))
         margin = required(nearest, base)
-        smaller = (" and have a smaller RMSE"
-                   if nearest is not chosen and gain(nearest, base) > margin else "")
+        smaller = ""
+        if nearest is not chosen and gain(nearest, base) > margin:
+            smaller = " and have a smaller RMSE"
+        elif nearest is chosen and gain(nearest, base) <= margin:
+            share = 1.0 - beyond_rounding(nearest) / beyond_rounding(base)
+            smaller = (f", or show a view and have an RMSE that is "
+                       f"{1.0 - SUPPORTED_RMSE_RATIO:.0%} smaller: it is {share:.0%} smaller")
         sentences.append(f"{_comparison_sentence(nearest, base)}; it must be better by more than "
                          f"{margin:.2g}{smaller}.")
     if any("standard error" in sentence for sentence in sentences):

@@ -127,8 +127,25 @@ def carriers(control: FitData, limit: int = 2) -> tuple[str, ...]:
         keep &= owner != carrying[-1]
         off_plane_heights, free = _about_plane(plane[keep], z[keep])
         if not (_differ(off_plane_heights) and _tell(off_plane_heights, effects[keep], noise)):
+            if len(carrying) == 2 and _view_confirms_heights(control, noise):
+                return ()
             return tuple(control.features.ids[i] for i in carrying)
     return ()
+
+
+def _view_confirms_heights(control: FitData, noise: float) -> bool:
+    """Return whether points are seen, but for noise [px], as a camera with square pixels does.
+
+    Two points off a plane have four coordinates for the three unknowns of what heights do to a
+    view. That pixels are square are two conditions more: so each tests the height of the other.
+    """
+    metres = metres_of(control.features, control.scaling)
+    if len(control.features.lines) or metres is None:
+        return False
+    view = view_of(control.scaled.points)
+    return view is not None and view.matrix.shape[1] == 4 \
+        and view.sigma * control.scaling.image_scale <= noise \
+        and view.has_square_pixels(metres)
 
 
 def off_plane(control: FitData, ground: FloatArray) -> tuple[FloatArray, FloatArray]:

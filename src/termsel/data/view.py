@@ -56,6 +56,10 @@ image."""
 FARTHER = 1.5
 """A map shows no places farther from the camera than this many times the farthest point."""
 
+PIXEL_TOLERANCE = 0.15
+"""Logarithm of the ratio of two focal lengths, and cosine of the angle between two axes, up to
+which few points show square pixels."""
+
 MAX_VIEW_POINTS = 200
 """Points by which a view is found; more are thinned out evenly."""
 
@@ -93,6 +97,23 @@ class CentralView:
     def distances(self, ground: FloatArray) -> FloatArray:
         """Return the distances of places from the camera along its view, (n,)."""
         return np.asarray(_columns(ground, self.matrix.shape[1]) @ self.matrix[2])
+
+    def has_square_pixels(self, metres: FloatArray) -> bool:
+        """Return whether a camera with square pixels sees so, but for PIXEL_TOLERANCE.
+
+        `metres` (3,) are those of a unit of the scaled ground. Of the numerators p, q and the
+        denominator d, less their constants, p and q are focal lengths along lines and samples times
+        axes of the camera, and the principal point times d (Abdel-Aziz and Karara 1971). Heights
+        that are wrong together make a view of their own, but seldom that of a camera.
+        """
+        line, sample, below = self.matrix[:, 1:] / metres
+        across_line = np.cross(line, below)
+        across_sample = np.cross(sample, below)
+        focal_line = float(np.linalg.norm(across_line))
+        focal_sample = float(np.linalg.norm(across_sample))
+        ratio = focal_line / focal_sample
+        skew = float(across_line @ across_sample) / (focal_line * focal_sample)
+        return abs(np.log(ratio)) < PIXEL_TOLERANCE and abs(skew) < PIXEL_TOLERANCE
 
     @cached_property
     def nearest(self) -> float:
