@@ -246,3 +246,23 @@ def test_the_command_line_shows_all_guesses(tmp_path: Path, call: Callable[..., 
     assert "Ready to run" not in shown
     assert "Guess 1 of 2, to check: termsel run" in shown
     assert "Guess 2 of 2, to check: termsel run" in shown
+
+
+@pytest.mark.parametrize(("header", "order", "kind"), [
+    ("a,b,c,d,e", "y x z line sample", "metres"), ("a,b,c,d,e", "sample line x y z", "metres"),
+    ("A,B,C,D,E", "line sample y x zero", "degrees"),
+    ("lat_px,lon_px,lat,lon", "line sample y x", "degrees"),
+    ("line,line2,east,east2", "line sample x y", "metres")])
+def test_names_that_mislead_do_not_hide_the_true_reading(
+        header: str, order: str, kind: str, tmp_path: Path) -> None:
+    known = COLUMNS | (METRES if kind == "metres" else DEGREES)
+    names = order.split()
+    columns = header.split(",")
+    path = tmp_path / "table.csv"
+    path.write_text("\n".join([header, *(",".join(f"{value:.10g}" for value in row) for row in zip(
+        *(known[name].tolist() for name in names), strict=True))]))
+    with pytest.raises(TermselError, match="This mapping is a guess") as caught:
+        termsel.read(path, crs="EPSG:32619" if kind == "metres" else "EPSG:4326")
+    true = {f"{name}={column}" for name, column in zip(names, columns, strict=True)
+            if name not in ("z", "zero")}
+    assert any(true <= set(guess.split(",")) for guess in caught.value.guesses)

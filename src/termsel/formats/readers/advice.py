@@ -37,16 +37,21 @@ _REQUIRED = {"line", "sample", "x", "y"}
 _DECLARE = " Declare the columns: --columns"
 _SHEETS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
 """First bytes of .xlsx and .ods, and of .xls."""
+_HIGHEST = 30_000.0
+"""Height of the highest ground, in feet."""
+
 _SPREADSHEETS = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
 
 
 def with_advice(error: TermselError, header: Sequence[str], rows: Sequence[Sequence[str]],
                 known_columns: Mapping[str, int], aliases: Aliases,
-                fixed: Collection[int] = ()) -> TermselError:
+                fixed: Collection[int] = (), *, names_may_mislead: bool = False) -> TermselError:
     """Return an error with the text of --columns that declares all columns, as far as it is known.
 
     `known_columns` is the column of each meaning that is known; the others are guessed, of points
     only, in all ways that fit. Nobody can declare the columns `fixed`, such as those of a geometry.
+    Where names may mislead, as e does among columns a to e, and no columns look like ground
+    coordinates with them, all columns are guessed.
     """
     # Readings are of points: a table of lines has too many ways.
     if "line" not in aliases or "x" not in aliases:
@@ -58,6 +63,12 @@ def with_advice(error: TermselError, header: Sequence[str], rows: Sequence[Seque
     numbers = _numbers([row for row in rows[:_ROWS] if len(row) == len(header)])
     in_image = [reading for reading in readings if _is_in_an_image(numbers, reading)]
     complete = [reading for reading in in_image if reading.keys() >= _REQUIRED]
+    if names_may_mislead and not any(_shows_ground(numbers, reading) for reading in complete):
+        by_numbers = [reading for reading in _readings(rows, len(header), {})
+                      if _is_in_an_image(numbers, reading) and _shows_ground(numbers, reading)]
+        if by_numbers:
+            complete = by_numbers
+            known_columns = {}
     # A column that is known by its name may hold a cell that is no number.
     numeric = [reading for reading in complete
                if all(reading[name] in numbers for name in _REQUIRED)]
@@ -95,6 +106,15 @@ def _is_in_an_image(numbers: Mapping[int, FloatArray], reading: Mapping[str, int
     if "sample" in columns and np.nanmax(columns["sample"]) < 0.0:
         return False
     return all(np.nanmax(np.abs(column)) <= LARGEST_IMAGE for column in columns.values())
+
+
+def _shows_ground(numbers: Mapping[int, FloatArray], reading: Mapping[str, int]) -> bool:
+    """Return whether a reading has all coordinates, and those of the ground look like such."""
+    if not all(reading.get(name) in numbers for name in _REQUIRED):
+        return False
+    heights = numbers.get(reading.get("z", -1), np.zeros(1))
+    return _is_ground(numbers, (reading["x"], reading["y"])) \
+        and bool(np.nanmax(np.abs(heights)) <= _HIGHEST)
 
 
 def _counts_upwards(lines: FloatArray) -> bool:
@@ -232,7 +252,8 @@ def unknown_table(path: Path, expected: str, columns: str) -> TermselError | Non
     if crs := _crs_of(cells.comments):
         unnamed.what += f", and its first line is the CRS {crs}"
     return with_advice(unnamed, header, rows if bare else rows[1:],
-                       {**by_name, **declared(header, stated)}, POINTS)
+                       {**by_name, **declared(header, stated)}, POINTS,
+                       names_may_mislead=not stated)
 
 
 def _missing_pair(path: Path, header: Sequence[str], numeric: Sequence[int],
