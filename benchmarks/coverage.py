@@ -241,10 +241,10 @@ def main() -> None:
     text = f"""# The interval of the predicted RMSE
 
 Made by `python -m benchmarks.coverage --write`: {asked.splits} splits of each set and number of
-points, up to 300 independent points. A cell says in how many splits the interval
-holds the RMSE of just these independent points with a chance of {100 * CONFIDENCE:.0f} %: it knows
+points, up to 300 independent check points. A cell says in how many splits the interval
+holds the RMSE of just these independent check points with a chance of {100 * CONFIDENCE:.0f} %: it knows
 their number, and what so few of them add is part of its width. Splits that leave fewer than 20
-independent points are left out, as are those with too few points to repeat the choice.
+independent check points are left out, as are those with too few points to repeat the choice.
 
 The first sets were drawn for this page: images of seven cameras with new seeds, two of them looking
 straight down, and nine kinds of maps. No constant was fitted to them. The kinds of maps, with other
@@ -253,7 +253,7 @@ The embedded scenes are simulated. The other sets are derived from sensor models
 
 The interval has no constant that was fitted to any set. Its width has three sources: few squared
 errors, coefficients that few points determine, and solutions that disagree
-([how](../explanation/auto.md#its-interval)). Which sources it has was decided on other splits of
+([how](../explanation/auto-accuracy.md#its-interval)). Which sources it has was decided on other splits of
 the embedded, derived and measured sets. A standard error is that of a share; splits of a measured
 set have points in common, so that it is rather larger.
 
@@ -263,7 +263,7 @@ set have points in common, so that it is rather larger.
 
 ## Sigma
 
-`Fit.sigma` of the chosen fit at the independent points, with the noise of a measurement there. Of
+`Fit.sigma` of the chosen fit at the independent check points, with the noise of a measurement there. Of
 right deviations of normal errors 68 % lie within one and 90 % within 1.645. Points are inside or
 outside the hull of the control.
 
