@@ -113,14 +113,17 @@ def _data(record: Record, brief: int) -> Iterator[Fact]:
     if read.without_height:
         heights = " without heights" if read.without_height == read.points + read.lines else \
             f" ({read.without_height} without a height)"
-        # What a bending model follows may be relief.
-        if record.model in _BENDING and data.crs != LOCAL:
-            heights += " (--dem FILE adds them)"
     crs = "coordinates without a CRS" if data.crs == LOCAL else short(data.crs)
     image_in_file = f" ({read.place})" if read.place else ""
     unit = f"; z in {read.z_unit}" if read.z_unit else ""
     origin = f"; image coordinates from {read.image_origin}" if read.image_origin else ""
-    yield Fact(f"{cut(names, _SOURCE)}: {features}{heights}, {crs}{image_in_file}{unit}{origin}")
+    opening = f"{cut(names, _SOURCE)}: {features}{heights}"
+    end = f", {crs}{image_in_file}{unit}{origin}"
+    # What a bending model follows may be relief.
+    may_be_relief = read.without_height and record.model in _BENDING and data.crs != LOCAL
+    hint = " (--dem adds them)" if may_be_relief else ""
+    yield Fact(f"{opening}{hint}{end}" if len(f"{opening}{hint}{end}") <= _FULL_WIDTH
+               else f"{opening}{end}")
     yield Fact(roles_of(record))
     unused = _count_unused(read)
     if unused and not brief:
