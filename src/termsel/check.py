@@ -36,7 +36,7 @@ _SHARE = 16  # the fact on t has the weight 1 / 16
 _MOST = 64  # columns of an axis
 _LARGEST = 1 << 28  # bytes of a file; trees of 50,000 steps have a tenth
 _LONGEST = 60  # characters of a name
-_HEAD = 200  # bytes that tell a certificate from other files
+_HEAD = 200  # bytes that distinguish a certificate from other files
 
 
 class Refused(Exception):

@@ -143,7 +143,7 @@ def dispatcher_of(function: Callable[..., Any], flags: dict[str, Any]) -> Any:
         """Compile for a signature, at this level of optimisation, then let others go on."""
         with global_compiler_lock:  # as numba does: settings are those of all threads
             requested_level = numba.config.OPT
-            # The level keeps its type, by which numba tells what the user set.
+            # The level keeps its type, by which numba shows what the user set.
             numba.config.OPT = type(requested_level)(min(requested_level, LEVEL))
             try:
                 return compile_signature(signature)

@@ -1,4 +1,4 @@
-"""What a model must tell that predicts from the control points themselves."""
+"""What a model must distinguish that predicts from the control points themselves."""
 
 from __future__ import annotations
 

@@ -194,7 +194,7 @@ class Auto(Method):
         return len(all_features) if len(data.features.lines) else len(all_features.points)
 
     def suspects(self, data: FitData) -> Suspects | None:
-        """Return which features contradict what some method knows; None if none tells."""
+        """Return which features contradict what some method knows; None if none shows."""
         answers = (self.ask(method, "suspects", data) for method in self.offered(data))
         return next((suspects for suspects in answers if suspects is not None), None)
 
@@ -513,7 +513,7 @@ class Auto(Method):
 def _features_without(data: FitData, out: BoolArray) -> FitData:
     """Return features without some, as plane where relief rests on one of the others.
 
-    It tells nothing of those held out then.
+    It shows nothing of those held out then.
     """
     rest = data.take(~out)
     return replace(rest, heights=rest.heights and not carriers(rest, limit=1))

@@ -7,7 +7,7 @@ smallest squares. It is sought from random samples and improved by concentration
 to its closest half (Rousseeuw and Van Driessen 2006, FAST-LTS). A sample of as many points as a
 cubic polynomial has terms always holds blunders; but the halves of quadratic ones hold few, so that
 concentration goes on from them with the cubic terms of the plane, which cameras that turn and
-aircraft need. Their noise tells which points disagree; those that agree are the majority.
+aircraft need. Their noise shows which points disagree; those that agree are the majority.
 
 An image that bends more, such as an aircraft's, leaves such noise to these polynomials that no
 point is gross next to it. From the best halves the regularised polynomial goes on, which has more

@@ -52,7 +52,7 @@ from termsel.models.polynomial import Polynomial
 from termsel.models.projective import Projective
 
 PHYSICAL_MIN_POINTS = 6
-"""Points from which on there is a physical prior: fewer do not tell such images from others."""
+"""Points from which on there is a physical prior: fewer do not show such images to be different."""
 
 PHYSICAL_MAX_POINTS = 40
 """Points up to which there is one: more gain nothing by it."""
@@ -61,14 +61,14 @@ PHYSICAL_MAX_CHOSEN = 18
 """Points of control up to which auto tries it. The final fit has the selection points, too."""
 
 PHYSICAL_FEW_POINTS = 12
-"""Points up to which they do not tell whether it predicts better than what stands without it."""
+"""Points up to which they do not show whether it predicts better than what stands without it."""
 
 NEGLIGIBLE_LOG = 25.0
 """Logarithm by which a prior explains the points worse than the best, to be left out of the
 average. Without one of the points its share is hardly ever one, either."""
 
 FRAME_MAX_POINTS = 7
-"""Points up to which frame cameras are among the kinds: from more a DLT tells photos, and without a
+"""Points up to which frame cameras are among the kinds: from more a DLT shows photos, and without a
 prior. One more than the fewest, as a point is held out."""
 
 ORBIT_PIXELS = (0.1, 2000.0)
@@ -242,7 +242,7 @@ def _slopes_on_ground(points: Points, scaling: Scaling, crs: str) -> FloatArray 
 
     In scaled units of the image. None where the ground is not known, or points lie on a line.
     """
-    # Metres, as kinds of cameras are told apart by the size of a pixel.
+    # Metres, as kinds of cameras are distinguished by the size of a pixel.
     positions = east_north_up(scaling, crs, points.ground)
     if positions is None or not PHYSICAL_MIN_POINTS <= len(points) <= PHYSICAL_MAX_POINTS:
         return None
@@ -350,7 +350,7 @@ class Physical(Estimator):
 # A pinhole camera as a candidate, where few points support an oblique view.
 
 PINHOLE_MAX_POINTS = 20
-"""Points up to which a camera is tried: a DLT of more tells as much, and takes up more of a lens.
+"""Points up to which a camera is tried: a DLT of more shows as much, and takes up more of a lens.
 """
 
 OBLIQUE_DEPTH = 0.8

@@ -256,7 +256,7 @@ def required(fitted: Fit, base: Fit) -> float:
         return np.inf if says_nothing else _equally_sure_margin(base)
     if not method_of(fitted).central:
         return CLEAR_MARGIN
-    # Few points measured roughly, as in a drawn bird's-eye view, hardly tell standard errors apart;
+    # Few points measured roughly, as in a drawn bird's-eye view, hardly show standard errors apart;
     # that they support an oblique view, or a camera near by, is evidence of its own.
     view = fitted.view
     calls_for_camera = view is not None and (
@@ -275,7 +275,7 @@ def is_supported_and_smaller(fitted: Fit, base: Fit) -> bool:
 def _equally_sure_margin(base: Fit) -> float:
     """Return by how many standard errors others must be better than one that knows more.
 
-    It is CLEAR_MARGIN where features are many. Few of them hardly tell the standard error, so that
+    It is CLEAR_MARGIN where features are many. Few of them hardly show the standard error, so that
     more of it is as sure (Student 1908). Two say nothing of it.
     """
     freedom = len(base.held_out().squares) - 1

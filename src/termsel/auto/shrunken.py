@@ -257,7 +257,7 @@ FIELD_EXCLUDED = 0.05
 def required_probability(process: GaussianProcess) -> float:
     """Return the probability of a random field beyond which points support it.
 
-    Of few points without heights, up to `field.SURE`, any: they tell too little to choose by.
+    Of few points without heights, up to `field.SURE`, any: they show too little to choose by.
     """
     return FIELD_CALLED_FOR * (1.0 - process.spline_weight)
 

@@ -139,7 +139,7 @@ def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: 
     written = write_outputs(results, out)
     echo(summary(results), nl=False)
     say_written(written)
-    # An image that fails stops no other, so that only the exit code tells a script of it.
+    # An image that fails stops no other, so that only the exit code shows a script of it.
     if results.failures:
         echo(f"{results.failures} of {counted(len(results.cells), 'image')} failed.", err=True)
         sys.exit(EXIT_FAILED)

@@ -65,7 +65,7 @@ class Commands(click.Group):
     def get_command(
         self, ctx: click.Context, cmd_name: str
     ) -> click.Command | None:
-        """Return a command; that of a broken plugin tells why it is broken."""
+        """Return a command; that of a broken plugin shows why it is broken."""
         if cmd_name in COMMANDS:
             # Imported by name, so that one command does not load what others need.
             module, _, attribute = COMMANDS[cmd_name][0].partition(":")
@@ -153,7 +153,7 @@ class Commands(click.Group):
         try:
             try:
                 value = super().main(args, prog_name, complete_var, False, **extra)
-            # numpy tells the shape that it cannot allocate: that becomes what to make smaller.
+            # numpy shows the shape that it cannot allocate: that becomes what to make smaller.
             except MemoryError as error:
                 raise _too_large(error) from error
         except TermselError as error:

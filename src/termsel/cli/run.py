@@ -29,7 +29,7 @@ from termsel.core.interrupts import INTERRUPTED
 def run(verbose: bool, checkpoint: Path | None, files: tuple[Path, ...], **arguments: Any) -> None:
     """Fit a model to control points or lines, and report its accuracy.
 
-    FILES are points, lines, the image and the RPC, told apart by their names. Independent check
+    FILES are points, lines, the image and the RPC, distinguished by their names. Independent check
     points take no part in any choice.
 
     \b

@@ -42,7 +42,7 @@ class TermselError(Exception):
         for the user to complete.
     guesses : list of str
         Values of the option ``--columns`` that all fit, the one in `options` first, where nothing
-        tells which of them is right.
+        shows which of them is right.
     first_points : list of str
         The first point as each of these reads it, in words.
 

@@ -1,6 +1,6 @@
 """A DEM held against the heights of control: by how much it is off as a whole.
 
-With d the DEM's height less that of control, the median of d tells a shift, of which
+With d the DEM's height less that of control, the median of d shows a shift, of which
 
     s^2 = (n scatter^2 + AS_MANY USUAL^2) / (n + AS_MANY)
 
@@ -30,7 +30,7 @@ BEYOND = 3.0
 """Standard deviations beyond which a DEM contradicts the control."""
 
 TAKEN = 1e-5
-"""Difference [m] up to which a height was taken from the DEM itself, and tells nothing."""
+"""Difference [m] up to which a height was taken from the DEM itself, and shows nothing."""
 
 GEOID = "geoid and ellipsoid?"
 """The usual cause, up to what geoids are from ellipsoids."""
@@ -59,7 +59,7 @@ class DemDifference:
     sigma : float
         Standard deviation of this median where DEM and control refer to the same [m].
     count : int
-        Heights of control that tell it.
+        Heights of control that show it.
     in_feet : bool
         Whether one of both looks as if it were in feet.
     dem : str
@@ -103,8 +103,8 @@ def off_as_a_whole(above: float, reference: str, evidence: str, effect: str = ""
 def dem_difference(control: FloatArray, dem: FloatArray, name: str = "") -> DemDifference | None:
     """Return the difference of heights of control and of a DEM at their places, shapes (n,) [m].
 
-    Those that are not known on either side, and those that were taken from the DEM, tell nothing.
-    None where no height tells anything.
+    Those that are not known on either side, and those that were taken from the DEM, show nothing.
+    None where no height shows anything.
     """
     over = dem - control
     telling = np.isfinite(over) & (np.abs(over) > TAKEN)

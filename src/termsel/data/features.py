@@ -243,7 +243,7 @@ class FeatureSet(Glance):
     dem_difference : DemDifference, optional
         How far a raster of heights is above those of control, where both are there.
     z_unit : str
-        Unit of z and what tells it, where that was open.
+        Unit of z and what shows it, where that was open.
     image_origin : str
         Where the file counted lines and samples from, where that is not the centre of the
         upper-left pixel by the format; they count from there here.

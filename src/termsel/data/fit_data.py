@@ -1,6 +1,6 @@
 """The features that models are fitted to, with their scaling and their relief.
 
-Heights serve where the control tells what a metre of height does better than physics alone does:
+Heights serve where the control shows what a metre of height does better than physics alone does:
 the view of a camera from the air or from space is inclined by some 27 degrees, so that a metre of
 height moves an image by about half as much as a metre on the ground. Heights are flat where all
 that they could do is less than what can be measured. They are so, too, where only one or two
@@ -95,7 +95,7 @@ class FitData:
 
 
 def heights_differ(control: FitData) -> bool:
-    """Return whether all features have heights, and these tell what a height does."""
+    """Return whether all features have heights, and these show what a height does."""
     if control.features.without_height():
         return False
     plane, z, _ = _vertices(control)
@@ -104,9 +104,9 @@ def heights_differ(control: FitData) -> bool:
 
 
 def carriers(control: FitData, limit: int = 2) -> tuple[str, ...]:
-    """Return the ids of one or two features without which heights tell nothing; or none.
+    """Return the ids of one or two features without which heights show nothing; or none.
 
-    All ids where they tell nothing already. Heights are known. `limit`, 1 or 2, is how many are
+    All ids where they show nothing already. Heights are known. `limit`, 1 or 2, is how many are
     looked for; of fewer than `RELIEF_FEATURES` one.
     """
     limit = limit if len(control) >= RELIEF_FEATURES else 1
@@ -152,7 +152,7 @@ def off_plane(control: FitData, ground: FloatArray) -> tuple[FloatArray, FloatAr
     """Return how far places (m, 3) are off the plane of the control's heights, and what that does.
 
     In units of height, and the standard deviation of what it does to the image [px], each (m,). 0
-    where a height is not known, where those of the control are not, and where they tell what a
+    where a height is not known, where those of the control are not, and where they show what a
     height does. Carriers have no influence on the plane.
     """
     none = np.zeros(len(ground))
@@ -237,7 +237,7 @@ def _noise(control: FitData) -> float:
         square = (residuals**2).sum() / (len(image) - columns.shape[1]) / 2
         columns = columns[best]
         image = image[best]
-    # An oblique view is no quadratic: there the projection tells how well points are measured.
+    # An oblique view is no quadratic: there the projection shows how well points are measured.
     view = view_of(points)
     noise = float(np.sqrt(square))
     if view is not None:

@@ -29,7 +29,7 @@ from termsel.data.fit_data import FitData, carriers
 from termsel.data.record.chances import quantile
 from termsel.data.tables.tabular import rows_at, unchecked
 
-# Points that lie closer to each other than they can tell anything apart: twins.
+# Points that lie closer to each other than they can show anything apart: twins.
 #
 # Twins repeat one measurement. If one is control and the other independent, the second confirms
 # whatever was fitted to the first; if one is held out, the other predicts it.
@@ -371,7 +371,7 @@ def observe(
     `control`, "points", "lines" or "both", says which features are control; with lines control
     points stay out. Without a split the roles of the file stay, and blank ones are stratified; a
     split disregards the file's roles, except "off". Twins that are assigned share a role, and so do
-    the points on a line of a lattice, which tell each other. Fractions are those of control, check
+    the points on a line of a lattice, which show each other. Fractions are those of control, check
     and independent among the points that are assigned; with control from lines alone, all become
     check and independent points. Raises TermselError if the control that is required is not there.
     """

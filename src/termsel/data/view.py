@@ -64,7 +64,7 @@ MAX_VIEW_POINTS = 200
 """Points by which a view is found; more are thinned out evenly."""
 
 BEST = 5 / 6
-"""Part of the points, those that fit best, that tell how well they are measured."""
+"""Part of the points, those that fit best, that show how well they are measured."""
 
 _STEPS, _HALVINGS, _GAIN = 30, 8, 1e-6
 _DETERMINED = 1e-9
@@ -166,7 +166,7 @@ class CentralView:
 def view_of(points: Points) -> CentralView | None:
     """Return the central projection that scaled points support, or None.
 
-    A DLT, or a projective transformation of the plane where heights are not known or tell nothing.
+    A DLT, or a projective transformation of the plane where heights are not known or show nothing.
     """
     return _view_of(Measurements.of(points))
 

@@ -300,7 +300,7 @@ def predicted_of_all(fitted: Fit, expected: Predicted, ground: FloatArray) -> Pr
 def pixel_on_ground(fitted: Fit) -> float | None:
     """Return how far a pixel is on the ground [m]: root of the mean square at the control.
 
-    None where the CRS does not tell metres, or the model has no inverse.
+    None where the CRS does not show metres, or the model has no inverse.
     """
     points = fitted.control.points
     if not len(points):

@@ -115,7 +115,7 @@ class Estimator(ABC):
 
         See `termsel.fitting.uncertainty`, which judges any coefficients.
         """
-        # Only the features in use tell how well the coefficients are known.
+        # Only the features in use show how well the coefficients are known.
         used = fitted.scaled_control.take(fitted.used)
         image = fitted.model.predict(fitted.adjustment.coefficients, used, ground)
         return spread_of(fitted.model, used, fitted.terms, fitted.adjustment, ground, image,
@@ -450,7 +450,7 @@ class Fit(Glance):
         """Return the standard deviation of the error of `project`.
 
         Not of the control's ground coordinates. For control points it holds
-        what other models they leave open, what they do not tell of heights, and what the model
+        what other models they leave open, what they do not show of heights, and what the model
         does not fit: see `termsel.fitting.uncertainty` and `termsel.fitting.misfit`. For lines and
         few points the model's form is taken for true.
 
@@ -498,7 +498,7 @@ class Fit(Glance):
 
     @cached_property
     def local_courses(self) -> LocalCourses | None:
-        """What control points in a plane tell of the truth, or None.
+        """What control points in a plane show of the truth, or None.
 
         A projection of a view is no field about a polynomial, and is judged by what it leaves.
         """
@@ -522,9 +522,9 @@ class Fit(Glance):
 
     @cached_property
     def misfit(self) -> Misfit | None:
-        """What the residuals of control points tell that the model does not fit, or None.
+        """What the residuals of control points show that the model does not fit, or None.
 
-        Lines tell too little of it.
+        Lines show too little of it.
         """
         control = self._scaled_used
         # Lines have no residual along themselves; without redundancy all are zero.
@@ -541,7 +541,7 @@ class Fit(Glance):
 
     @property
     def uncertainty_caveat(self) -> str:
-        """What the control does not tell of its own noise, as a sentence; "" where it tells it.
+        """What the control does not show of its own noise, as a sentence; "" where it shows it.
 
         Few residuals of unknown noise are noise or local deformation, and `sigma` is a mean of
         both.

@@ -18,7 +18,7 @@ there (universal kriging)
 The mean square error of any model at the place is this variance and the square of the distance of
 the model from the mean, averaged over all courses.
 
-Of more than 200 points, 200 that are spread over them tell how likely each course is. The mean and
+Of more than 200 points, 200 that are spread over them show how likely each course is. The mean and
 the variance at a place are then by the 200 that are nearest to its cell, of some 100 points.
 
 References
@@ -49,7 +49,7 @@ from termsel.fitting.misfit import (
 )
 
 LOCAL_MIN_POINTS = 20
-"""Points below which nothing tells smoothness from length."""
+"""Points below which nothing distinguishes smoothness from length."""
 
 LENGTHS = tuple((length, length) for length in (0.1, 0.2, 0.4, 0.8, 1.6))
 """Lengths of fields that are alike in line and sample, by the half-range of the image."""
@@ -102,7 +102,7 @@ class Solutions:
 
 @dataclass(frozen=True, eq=False)
 class Cell:
-    """A part of the control, and what it tells of places near by."""
+    """A part of the control, and what it shows of places near by."""
 
     positions: FloatArray  # (n, 2): of control in the cell and around it
     courses: tuple[Course, ...]
@@ -122,7 +122,7 @@ class Cell:
 
 @dataclass(frozen=True, eq=False)
 class LocalCourses:
-    """What points in a plane tell of the truth, in scaled coordinates."""
+    """What points in a plane show of the truth, in scaled coordinates."""
 
     to_image: FloatArray  # (3, 2): affine map of the ground
     control: System
@@ -190,7 +190,7 @@ class LocalCourses:
 
 
 def local_courses(points: Points, pixel: float) -> LocalCourses | None:
-    """Return what scaled points in a plane tell; None of few, or of points in a row.
+    """Return what scaled points in a plane show; None of few, or of points in a row.
 
     A `pixel` is in scaled coordinates.
     """

@@ -103,7 +103,7 @@ class Method(ABC):
         Whether one feature is enough, as the method knows what features do not determine. Then
         two or three are not taken for a model that they determine exactly.
     max_features : float
-        Number of features up to which it is tried: more tell as much as what it knows. Where the
+        Number of features up to which it is tried: more show as much as what it knows. Where the
         choice is repeated without some features, the number of all of them counts.
 
     Examples
@@ -201,7 +201,7 @@ class Method(ABC):
         return self.fit(data)
 
     def describe(self, fitted: Fit) -> str:
-        """Return one sentence on why the features support it; "" if leave-one-out tells all."""
+        """Return one sentence on why the features support it; "" if leave-one-out shows all."""
         return ""
 
     def nearly(self, data: FitData) -> bool:

@@ -26,7 +26,7 @@ already. The field is bounded, so that its trend ends with the control: t is tha
 place in the box of the control. Averaged over all solutions, the square of the one and the other
 are what the model misses: close to control it is seen, and far away it is as large as it can be.
 
-Few residuals do not tell a field of short length from noise. Then their scatter is divided by what
+Few residuals do not show a field of short length from noise. Then their scatter is divided by what
 is known beforehand: a measurement in an image is good to about half a pixel, and a scatter of
 several pixels is rather what the model does not fit, in images of cameras more so than on maps that
 somebody has drawn. Of a local model, which fits fields itself, r are its errors of points held out,
@@ -83,7 +83,7 @@ MISFIT_MAX_POINTS = 200
 """Points by which the field is found; of more, such as are spread over the image."""
 
 MISFIT_MIN_POINTS = 6
-"""Points below which nothing tells a field."""
+"""Points below which nothing shows a field."""
 
 QUADRATIC_TREND_POINTS = 20
 """Points from which on the trend is quadratic; else it is affine."""

@@ -114,7 +114,7 @@ def covariances(original: Fit, ground: FloatArray) -> Spread | None:
                        axis) for axis in (0, 1)]
         return _spread_of_spans(spans, np.full(2, courses.noise))
     spread: Spread | None = original.estimator.spread(original, scaled_ground)
-    if spread is not None and spread.factors is None:  # a local model, which tells no covariances
+    if spread is not None and spread.factors is None:  # a local model, which shows no covariances
         spread = _with_correlations_of_polynomial(spread, original, scaled_ground, image)
     if spread is None or spread.factors is None or not np.isfinite(spread.factors).all():
         return None

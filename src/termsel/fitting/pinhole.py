@@ -8,8 +8,8 @@ with square pixels sees a place G at
 These are 7 unknowns where a DLT of the same view has 11, which 5 points do not determine and 6
 hardly. Two more, the principal point, are held by a prior: near the middle of the image where its
 size is known, and within the control else. It has long tails, so that an image that was cropped
-moves it. The focal length has a wide prior, which tells where points do not. Priors count against
-the measurements by the noise of these, which the residuals tell.
+moves it. The focal length has a wide prior, which shows where points do not. Priors count against
+the measurements by the noise of these, which the residuals show.
 
 The least squares of distances in the image have several minima, so a grid of rotations and focal
 lengths is tried; for each the place of the camera is linear, and the best ones are improved in
@@ -493,7 +493,7 @@ def _starts(measured: Measured) -> Cameras:
 def _is_mirrored(measured: Measured) -> bool:
     """Return whether the image is mirrored: then lines, samples and the view are left-handed."""
     columns = np.column_stack([np.ones(len(measured.image)), measured.ground[:, :2]])
-    # The determinant of the affine map from ground to image tells its handedness.
+    # The determinant of the affine map from ground to image shows its handedness.
     slopes = np.linalg.lstsq(columns, measured.image)[0][1:]
     return bool(np.linalg.det(slopes) < 0.0)
 

@@ -39,7 +39,7 @@ def ground_where_held(fitted: Fit, image: FloatArray, heights: FloatArray | floa
     """Return the ground seen at image places (n, 2), shape (n, 3); NaN where the model has none.
 
     It has none, either, where it does not hold (see `Fit.holds`): close to the horizon a pixel is
-    kilometres long, and tells nothing of them.
+    kilometres long, and shows nothing of them.
     """
     ground = fitted.locate(image, heights)
     ground[~fitted.holds(ground)] = np.nan

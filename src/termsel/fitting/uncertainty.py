@@ -11,7 +11,7 @@ and few points it is the propagated noise. All noise is unknown, so that errors 
 distribution with f degrees of freedom, whose variance is f / (f - 2). A spline or a random field
 has a variance of its own, which is that of its own smoothness. From 20 points of a plane on they
 and polynomials are judged by fields of all (`termsel.fitting.local_courses`). To all others comes
-what the model does not fit (`termsel.fitting.misfit`). Where the control does not tell what a
+what the model does not fit (`termsel.fitting.misfit`). Where the control does not show what a
 height does, the effect of views in general is added (`termsel.fitting.extrapolation.by_heights`).
 """
 
@@ -96,10 +96,10 @@ class Experience:
 
     @property
     def spread(self) -> float:
-        """Relative variance of a squared distance that tells the scale of measurements as well.
+        """Relative variance of a squared distance that shows the scale of measurements as well.
 
         Of normal errors it is 1. Of Student's with t degrees of freedom in two dimensions a
-        measurement tells t / (t + 4) of what a normal one tells of the scale (Lange, Little and
+        measurement shows t / (t + 4) of what a normal one shows of the scale (Lange, Little and
         Taylor 1989).
         """
         return 1.0 + 4.0 / self.tails
@@ -133,7 +133,7 @@ def spread_of(model: SensorModel, control: FeatureSet, terms: BoolArray, adjustm
 def _belief_of_points(model: SensorModel, control: FeatureSet, *, heights: bool) -> _Belief | None:
     """Return what the points say of the truth where lines take part, too.
 
-    Coefficients that are not by least squares have no propagation with lines. The points alone tell
+    Coefficients that are not by least squares have no propagation with lines. The points alone show
     less than both do, so that errors are not understated; of not many more points than an affine
     model needs they would be overstated many times, and nothing is said.
     """
@@ -174,8 +174,8 @@ def unexplained_by(model: SensorModel, control: FeatureSet, terms: BoolArray,
     points = control.points
     interpolation = model.interpolation(control)
     if interpolation is not None:
-        # A local model has taken up what its points tell: its errors of points held out, of the
-        # size of the noise that it sees, tell the rest.
+        # A local model has taken up what its points show: its errors of points held out, of the
+        # size of the noise that it sees, show the rest.
         scatter = np.sqrt((interpolation.errors**2).mean())
         noise = np.sqrt(interpolation.spread(points.ground[:1])[1].mean())
         residuals = interpolation.errors * noise / max(scatter, np.finfo(float).tiny)
@@ -197,7 +197,7 @@ def _chance_of_model(terms: int, squares: FloatArray, believed: _Belief) -> floa
     """Return how likely a model is the better course, from its squared held-out errors (n,).
 
     One with no more terms than an affine polynomial knows the rest from elsewhere, as from a
-    vendor's RPC, and so more of what lies beyond the points than they can tell: it is the course
+    vendor's RPC, and so more of what lies beyond the points than they can show: it is the course
     unless it predicts them clearly worse.
     """
     chance = _chance_of_being_less(squares, believed.squares())

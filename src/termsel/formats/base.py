@@ -279,7 +279,7 @@ def image_of(path: Path, images: Iterable[_Image], asked_for: _Image | None, opt
 def read_text(path: Path) -> str:
     """Return the text of a UTF-8 file, without a byte order mark, line ends as they are."""
     data = read_data(path)
-    # UTF-16 is told apart by its mark, as the decoder would say something of a byte.
+    # UTF-16 is distinguished by its mark, as the decoder would say something of a byte.
     if is_utf16(data):
         raise utf16_error(path)
     if b"\0" in data:

@@ -134,7 +134,7 @@ def say_nearest(name: str, fitted: Fit, xy: FloatArray, image: FloatArray,
         # A place without a position is infinitely far from the model.
         distances = np.nan_to_num(np.hypot(*(computed - exact).T), nan=np.inf)
         worst[key] = float(distances.max())
-    # The simplest of those that are as near, which the order of the labels tells.
+    # The simplest of those that are as near, which the order of the labels shows.
     nearest = next(key for key in labels
                    if worst.get(key, np.inf) <= min(worst.values()) + _ALIKE_PX)
     ignored = ", and ignores heights" if fitted.model.uses_height else ""

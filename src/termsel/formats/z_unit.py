@@ -33,7 +33,7 @@ Z_UNIT = Option(
     "By default that of the CRS; if the CRS defines the unit of x and y only, and they are in "
     "feet, a DEM or an RPC may decide.", choices=(*UNITS, OF_PLANE))
 
-_TELLING = 4  # heights from which on their scatter tells the unit
+_TELLING = 4  # heights from which on their scatter shows the unit
 _CLEAR = 1 / 3  # of the scatter, or of the distance, in another unit
 _MAX_GEOID_HEIGHT = 150.0  # metres by which no geoid is from an ellipsoid
 _WITHIN = 1.2  # half-ranges of an RPC's heights
@@ -43,8 +43,8 @@ _MOST_HEIGHTS, _FEW_HEIGHTS = 0.9, 0.1  # shares of heights in them
 def with_z_unit(features: FeatureSet, stated: str | None, dem: Path | None = None) -> FeatureSet:
     """Return features whose CRS states the unit of z, as it is asked, declared or told.
 
-    A DEM or an RPC tells it where one unit alone agrees with it. Independent points say nothing
-    here. Raises TermselError where z may be in feet or in metres and nothing tells; for a unit that
+    A DEM or an RPC shows it where one unit alone agrees with it. Independent points say nothing
+    here. Raises TermselError where z may be in feet or in metres and nothing shows; for a unit that
     plane coordinates without a CRS cannot have.
     """
     if stated is not None:
@@ -111,7 +111,7 @@ def _unit_by_dem(features: FeatureSet, units: tuple[str, ...], dem: Path) -> str
         return None
     if on_dem.sum() >= _TELLING:
         return _clearly({unit: _scatter(over) for unit, over in differences.items()})
-    # Of few points only distances beyond that of any geoid tell a unit.
+    # Of few points only distances beyond that of any geoid show a unit.
     distance = {unit: float(np.median(np.abs(over))) for unit, over in differences.items()}
     return _clearly(distance) if max(distance.values()) > _MAX_GEOID_HEIGHT else None
 

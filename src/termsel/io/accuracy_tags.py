@@ -25,7 +25,7 @@ class Prediction:
         RMSE of points, and the interval that holds it with probability `level` [px].
     level : float
     pixel : float or None
-        How far a pixel is on the ground [m], where the CRS tells metres.
+        How far a pixel is on the ground [m], where the CRS shows metres.
     method : str
         How it was found, in a clause.
     points : int
@@ -62,7 +62,7 @@ class Prediction:
 def prediction_of(result: Result) -> Prediction | None:
     """Return the accuracy that a result predicts; None where it predicts none.
 
-    Of points that were computed, or are a lattice, none is known: nothing tells how well the image
+    Of points that were computed, or are a lattice, none is known: nothing shows how well the image
     was measured.
     """
     expected = expected_of(result)

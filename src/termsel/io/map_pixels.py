@@ -282,7 +282,7 @@ def warp(raster: Any, output: Path, grid: MapGrid, spec: MapPixels, *, tags: Map
 
 def _unreadable_source(image: Path | None, error: Exception) -> TermselError:
     """Return the error for what could not be warped: the image if it cannot be read, or heights."""
-    # GDAL says only that warping failed. Reading the image alone tells whether it is at fault.
+    # GDAL says only that warping failed. Reading the image alone shows whether it is at fault.
     if image is not None:
         try:
             with open_raster(image) as raster:

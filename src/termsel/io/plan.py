@@ -48,7 +48,7 @@ class Plan:
 
 
 def _say_size(fitted: Fit) -> None:
-    """Say so where an RPC alone tells the size of the image, so that places may be outside it."""
+    """Say so where an RPC alone shows the size of the image, so that places may be outside it."""
     features = fitted.control
     if features.image_size is None and features.rpc is not None and "rpc" in fitted.model.options:
         (first_line, first_sample), (last_line, last_sample) = fitted.image_box()

@@ -244,7 +244,7 @@ def refuse_misspelt(options: Iterable[str]) -> None:
 
 def _with_packages(features: FeatureSet, values: Mapping[str, Any],
                    image: Path | str | None) -> FeatureSet:
-    """Return features with what options of packages, or the image, tell of them."""
+    """Return features with what options of packages, or the image, show of them."""
     if values or image is not None:
         for package in parts(OF_PACKAGES):
             features = package.read(features, values, image)
@@ -534,7 +534,7 @@ def _features_of_files(points: Path | None, lines: Path | None, *, areas: Path |
         raise TermselError(f"there are {len(formats)} --format for "
                            f"{counted(len(paths), 'file')}",
                            hint="Give --format once per file, that of the points first.")
-    # Without a format for a file, None lets its content tell.
+    # Without a format for a file, None lets its content show.
     reader_of = {path: find_reader(path, readers, name, options)
                  for path, name in zip_longest(paths, formats)}
     _refuse_idle(options, reader_of)

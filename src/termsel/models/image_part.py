@@ -41,7 +41,7 @@ _SIMPLE = 0.02
 """Relative difference of a factor from a simple one up to which it is that."""
 _FACTORS = (*range(2, 17), *(1 / n for n in range(2, 17)), 1.5, 2.5, 2 / 3, 0.75, 4 / 3)
 _ROUND = 10.0  # px
-_MIN_PART_POINTS = 3  # points that tell a part
+_MIN_PART_POINTS = 3  # points that show a part
 _MAX_PAIRED_POINTS = 60  # points whose pairs are looked at
 
 
@@ -126,9 +126,9 @@ def recognised(predicted: FloatArray, measured: FloatArray) -> ImagePart | None:
     """Return the part that explains where an RPC sees points, and where they were measured.
 
     Shapes (n, 2) [px]. None where the RPC is near, where the points are too few, or where no part
-    explains most of them. Nothing tells where a part begins from a shift of the RPC itself. So it
-    is rounded, and the correction of the RPC finds the remaining pixels, with their uncertainty.
-    Medians let less than half of the points be blunders.
+    explains most of them. A shift of the RPC itself looks like another place where the part begins.
+    So the place is rounded, and the correction of the RPC finds the remaining pixels, with their
+    uncertainty. Medians let less than half of the points be blunders.
     """
     is_seen = np.isfinite(predicted).all(axis=1)
     predicted = predicted[is_seen]

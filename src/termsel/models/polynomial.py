@@ -114,7 +114,7 @@ class Helmert2D(SensorModel):
     Lines count downwards and Y upwards, so that for turns of any angle this is the image of a map
     seen from above, not its mirror image: cos is the scale times the cosine of the angle by which
     the map is turned counter-clockwise. An image that is mirrored, or whose Y counts downwards as
-    the lines do, takes `mirrored`. Two points determine the model, and do not tell whether the
+    the lines do, takes `mirrored`. Two points determine the model, and do not show whether the
     image is mirrored.
 
     Longitude and latitude are brought to one unit at the middle of the control: X is multiplied

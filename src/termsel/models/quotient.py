@@ -130,7 +130,7 @@ class RationalModel(SensorModel):
     @cached_property
     def _layout(self) -> tuple[tuple[str, slice, int, tuple[str, ...]], ...]:
         """(block, its columns among the terms, its axis, its term names) in order."""
-        # The columns at any one place tell how many there are.
+        # The columns at any one place show how many there are.
         sample = self.blocks(np.zeros((1, 3)))
         layout = []
         start = 0

@@ -253,7 +253,7 @@ def new_manager() -> pluggy.PluginManager:
 
 
 def hooks_in_source(point: EntryPoint) -> Callable[[str], bool]:
-    """Return a function that tells whether a plugin may implement a hook, without importing it."""
+    """Return a function that shows whether a plugin may implement a hook, without importing it."""
     @cache
     def source() -> str:
         return "" if point.attr else _source(point.module)

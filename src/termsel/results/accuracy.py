@@ -1,4 +1,4 @@
-"""The accuracy of a result in words: which figure is the surer one, and what the points tell."""
+"""The accuracy of a result in words: which figure is the surer one, and what the points show."""
 
 from __future__ import annotations
 
@@ -160,7 +160,7 @@ def _agreement_text(accuracy: Accuracy, predicted: Predicted) -> str:
     chance = _chance_beyond(measured, predicted)
     if chance < _RARE:
         return f": the prediction was too {'small' if is_above else 'large'}"
-    # One measured value in ten lies outside its interval; how far outside tells more.
+    # One measured value in ten lies outside its interval; how far outside shows more.
     return f": so far {'above' if is_above else 'below'} by chance in {100 * chance:.0f} % of cases"
 
 

@@ -365,7 +365,7 @@ def _weak(view: View | None) -> Iterator[Block]:
     """Yield what answers "Where is it weak?"."""
     if view is None:
         return
-    # Without redundancy nothing tells how certain the model is.
+    # Without redundancy nothing shows how certain the model is.
     if why := missing(view, "sigma"):
         yield f"The standard deviation is not known: {why}."
     elif caveat := view.fit.uncertainty_caveat:

@@ -18,7 +18,7 @@ def command(record: Record) -> str:
 
     The points and lines there have their roles, heights and the size of their image, and the record
     has the vendor's RPC, so that the files they came from are not needed.
-    `not_by_command` tells the runs that no command can repeat.
+    `not_by_command` shows the runs that no command can repeat.
     """
     return " \\\n    ".join(["termsel run", *_command_arguments(record)])
 

@@ -1,6 +1,6 @@
 """Colours, symbols and type of all charts and pages, and the library that draws them.
 
-The colours of the roles are told apart with any kind of colour blindness, and by lightness in
+The colours of the roles are distinguished with any kind of colour blindness, and by lightness in
 print; each role has a shape too.
 """
 

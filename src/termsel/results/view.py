@@ -27,7 +27,7 @@ Row = dict[str, Any]
 SIGMA_SIDE = 28
 """Cells along either side of the map of uncertainty."""
 DRAWN, LARGEST_RESIDUALS = 2000, 1000
-"""Most residuals that are drawn, and how many of them are the largest: nobody can tell more apart,
+"""Most residuals that are drawn, and how many of them are the largest: nobody can show more apart,
 and no browser draws a hundred thousand."""
 SMOOTH = 8
 """Control whose heights a cell of it has, so that it shows the model and not steps of heights."""
@@ -268,7 +268,7 @@ class View:
     @cached_property
     def _seen(self) -> list[list[float]]:
         """Places of the residuals in the image: as measured, of vertices as computed."""
-        # Points were measured; of lines only the ground is known, so that the model tells where it
+        # Points were measured; of lines only the ground is known, so that the model shows where it
         # is seen.
         measured = dict(zip(self.features.points.ids, self.features.points.image.tolist(),
                             strict=True))

@@ -101,7 +101,7 @@ class _Watch:
             genes=np.zeros(0, dtype=bool), what=activity))
 
     def method(self, fitted: Fit | None) -> None:
-        """Count a method that was tried, and tell."""
+        """Count a method that was tried, and show."""
         fold = self.count // self.methods
         self.count += 1
         if fitted and not fold:
@@ -112,7 +112,7 @@ class _Watch:
 
 @dataclass(frozen=True, eq=False)
 class _Chosen:
-    """A choice, and what its repetition in folds tells.
+    """A choice, and what its repetition in folds shows.
 
     `errors` are those of held-out features [px]; `exact` says that the features determine the model
     exactly; `between` what a lattice predicts of places between its lines.
@@ -255,7 +255,7 @@ def _choose(clean: Observations, auto: Auto, watch: _Watch, seed: int) -> _Chose
             choice, errors = with_selected_lines(data, choice, auto, seed)
         lattice = clean.lattice
         if lattice is not None:
-            # Points of a lattice are computed: their errors tell of the model between its lines,
+            # Points of a lattice are computed: their errors show of the model between its lines,
             # which neighbours left out in turn show; chance errors they have none.
             between = None if choice.method.from_one else auto.between_lines(
                 data, lattice, watch.method, choice)
@@ -325,7 +325,7 @@ def _final_fit(fitted: Fit, points: Points, heights: bool, auto: Auto,
                            for name, role in zip(points.ids, points.roles, strict=True)])
     # Twins count once, as in the choice.
     features = merged(control.with_(points=further))
-    # A plane model must not be fitted to points whose heights do tell.
+    # A plane model must not be fitted to points whose heights do show.
     with_height = features.take(~np.isin(features.ids, features.without_height()))
     if len(features) == len(control) or (
             not heights and len(with_height) and FitData.of(with_height).heights):
@@ -397,7 +397,7 @@ def _notes(model: SensorModel, observations: Observations, errors: FloatArray | 
     if interrupted:
         notes.append(interrupted)
     elif observations.lattice is not None:
-        pass  # another note says what its points tell
+        pass  # another note says what its points show
     elif determined:
         mirrored = " They do not tell either whether the image is mirrored." \
             if len(features) == 2 else ""

@@ -141,7 +141,7 @@ def objectives_of(names_listed: str | None, criterion: Criterion) -> tuple[Objec
 def to_leave_out(features: FeatureSet) -> tuple[str, ...]:
     """Return the features without a height, where a model that uses heights is still possible.
 
-    None where all have heights, most have none, or heights tell nothing. Those that are off take no
+    None where all have heights, most have none, or heights show nothing. Those that are off take no
     part.
     """
     off = {name for name, role in zip(features.points.ids, features.points.roles, strict=True)
@@ -149,7 +149,7 @@ def to_leave_out(features: FeatureSet) -> tuple[str, ...]:
     missing = [name for name in features.without_height() if name not in off]
     if not missing:
         return ()
-    # What remains must tell what a height does, or leaving others out gains nothing.
+    # What remains must show what a height does, or leaving others out gains nothing.
     with_heights = features.take(~np.isin(features.ids, [*missing, *off]))
     # Independent points must not decide what is fitted.
     deciding = with_heights.with_(points=with_heights.points.take(
@@ -224,7 +224,7 @@ class Request:
     blank : tuple of str
         Ids of features that are left out as they have no height.
     rpc_part : ImagePart, optional
-        What the image is of that of the RPC, as control tells.
+        What the image is of that of the RPC, as control shows.
     """
 
     recipe: Recipe

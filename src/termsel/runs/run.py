@@ -233,7 +233,7 @@ def _refuse_next_to_task(arguments: Mapping[str, Any]) -> None:
 
 def _run_and_write(work: Callable[[], Result], out: Path | str | None, overwrite: bool,
                    longer: int) -> Result:
-    """Do the work of a run, write its result where that is asked for, and tell the plugins.
+    """Do the work of a run, write its result where that is asked for, and notify the plugins.
 
     `longer` are the seconds that a run takes longer which compiles, if any.
     """

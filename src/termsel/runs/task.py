@@ -134,11 +134,11 @@ MIN_CONTROL = 3
 
 MIN_POINTS_TO_DIVIDE = 12
 """Number of points without any role below which all are control for a search that needs no check
-points: leave-one-out then tells the accuracy."""
+points: leave-one-out then shows the accuracy."""
 
 MANY = 60
 """Number of points from which on the strategy auto sets independent points aside. Below, held-out
-features tell the accuracy better than the few points that could be spared, and the choice would
+features show the accuracy better than the few points that could be spared, and the choice would
 miss these: without a quarter of 60 points the RMSE is 4 % higher, without a quarter of 12, 30 and
 40 13, 6 and 9 % (docs/explanation/roles.md)."""
 
@@ -554,7 +554,7 @@ def task_of_method(request: Request, auto: Auto) -> Task:
     """
     fewest = fewest_features(request.features, auto)
     observations = observe(request, fewest)
-    # The image may be a part, or a coarser copy, of that of its RPC, as control tells; roles are
+    # The image may be a part, or a coarser copy, of that of its RPC, as control shows; roles are
     # assigned again then, as the RPC has moved.
     image_part = part_of_rpc(observations.together)
     if image_part is not None:

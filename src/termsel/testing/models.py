@@ -189,7 +189,7 @@ def masks_stay_finite(model: SensorModel) -> None:
 
 
 def height(model: SensorModel) -> None:
-    """`uses_height` tells correctly whether heights matter."""
+    """`uses_height` shows correctly whether heights matter."""
     features = accepted_scenes(model)[-1]
     ground = random_ground(seeded(), 50)
     coefficients = random_coefficients(model, seeded())
@@ -198,7 +198,7 @@ def height(model: SensorModel) -> None:
                           lines=replace(features.lines, ground=flattened(features.lines.ground)))
     first = model.equations(features)
     second = model.equations(flat)
-    # Positions tell whether heights act on the image, equations whether they act on the fit.
+    # Positions show whether heights act on the image, equations whether they act on the fit.
     same_image = np.array_equal(model.predict(coefficients, features, ground),
                                 model.predict(coefficients, flat, flattened(ground)))
     same_model = (same_image and np.array_equal(first.A, second.A)

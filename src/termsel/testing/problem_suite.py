@@ -85,7 +85,7 @@ def inputs_unchanged(problem: Problem) -> None:
 
 
 def decodes(problem: Problem) -> None:
-    """It tells what each individual selects, the same each time."""
+    """It shows what each individual selects, the same each time."""
     for individual in _individuals(problem):
         selection = problem.decode(individual)
         require(isinstance(selection, Selection),

@@ -46,7 +46,7 @@ class Export:
 
 
 def accepts_answers(export: Export) -> None:
-    """It tells for every result whether it can write it, and can write some."""
+    """It shows for every result whether it can write it, and can write some."""
     for result in export.results:
         answer = export.writer.accepts(result)
         require(isinstance(answer, bool), f"accepts() must be True or False, not {answer!r}")

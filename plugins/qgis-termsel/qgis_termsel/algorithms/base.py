@@ -60,7 +60,7 @@ def with_page(outputs, name, page, feedback):
     """Return outputs with a page for the results viewer.
 
     The batch of QGIS 3.22 fails when it has run all rows and one of them has a page: its own
-    feedback tells that it is one, and then the page is a file in the folder alone.
+    feedback shows that it is one, and then the page is a file in the folder alone.
     """
     if type(feedback).__name__ == "BatchFeedback":
         return outputs

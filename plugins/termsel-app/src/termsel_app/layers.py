@@ -49,8 +49,8 @@ def warped_tile(image: Raster, prediction: Prediction, box: Box) -> Pixels:
     from scipy.ndimage import map_coordinates
 
     west, south, east, north = box
-    # The model at 17 x 17 nodes, and bilinear between them, which no eye tells from the model
-    # itself.
+    # The model at 17 x 17 nodes, and bilinear between them: no eye sees a
+    # difference.
     x = np.linspace(west, east, NODES_OF_TILE)
     y = np.linspace(north, south, NODES_OF_TILE)
     nodes = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)

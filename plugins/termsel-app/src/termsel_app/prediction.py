@@ -131,7 +131,7 @@ def prediction_of(result: Result, features: FeatureSet, places: Places) -> Predi
     """Return the prediction by a result, or by a similarity of the map where it knows no errors.
 
     Three points determine an affine polynomial without any redundancy; the four parameters of a
-    similarity leave two equations, which tell how far the points are from one.
+    similarity leave two equations, which show how far the points are from one.
     """
     points = features.points
     if len(points) >= 3 and not np.isfinite(result.sigma(points.ground[:1])).all():

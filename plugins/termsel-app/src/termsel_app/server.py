@@ -141,7 +141,7 @@ def is_allowed(handler: RequestHandler, expected: str | None = None) -> bool:
     """Return whether a request has the secret, comes to this server and from its page."""
     pages: Pages = handler.pages  # type: ignore[attr-defined]
     expected = expected or pages.secret
-    # A website may send requests to this machine: only the secret in the address tells our page.
+    # A website may send requests to this machine: only the secret in the address shows our page.
     secret = handler.path_args[0] if handler.path_args else ""
     origin = handler.request.headers.get("Origin")
     # In constant time, so that the secret cannot be guessed letter by letter. The Host must be
@@ -261,7 +261,7 @@ class Tile(Guarded):
 
 
 class Call(Guarded):
-    """What the page asks the session to do, or to tell."""
+    """What the page asks the session to do, or to show."""
 
     async def post(self, secret: str, name: str) -> None:
         """Do it, and send what comes of it; what the user can correct is sent as an error."""
@@ -365,7 +365,7 @@ class Events(WebSocketHandler):
             log.error("The events of the page have failed.", exc_info=details)
 
     def open(self, *_: str, **__: str) -> None:
-        """Begin to tell."""
+        """Begin to show."""
         self.pages.open.add(self)
 
     def on_message(self, message: str | bytes) -> None:

@@ -160,7 +160,7 @@ class Session:
             positions += _ground_places(record)
         if positions:
             boxes.append(box_of(self.places.to_map(positions)))
-        # Neither maps nor control: the RPC tells where the image is.
+        # Neither maps nor control: the RPC shows where the image is.
         if not boxes and self.prediction is not None and self.size is not None:
             lines, samples = self.size
             boxes.append(box_of(self.prediction.to_map(
@@ -174,7 +174,7 @@ class Session:
     # Changes
 
     def change(self, patches: list[Patch]) -> None:
-        """Write a change to the journal, make it, tell the pages, and have the control judged."""
+        """Write a change to the journal, make it, show the pages, and have the control judged."""
         with self.lock:
             self._require_new(patches)
             # The journal first: what the page shows is never lost.
@@ -249,7 +249,7 @@ class Session:
                 None if self.files.dem is None else Path(self.files.dem)))
 
     def answered(self, answer: Answer) -> None:
-        """Keep an answer of the worker, and tell the pages."""
+        """Keep an answer of the worker, and notify the pages."""
         # Answers to earlier questions are of points that have moved since.
         with self.lock:
             if answer["serial"] not in (self.asked, -1):
@@ -435,7 +435,7 @@ def _points_of_paste(text: str) -> Iterator[Record]:
     if not rows:
         raise TermselError("nothing was pasted", hint="Paste rows such as: A1, 512300.5, 5339520.1")
     header = [cell.lower() for cell in rows[0]]
-    # A header is known by its names; else the number of columns tells what they are.
+    # A header is known by its names; else the number of columns shows what they are.
     if {"x", "y"} <= set(header) or {"line", "sample"} <= set(header):
         names: tuple[str, ...] = tuple(header)
         rows = rows[1:]

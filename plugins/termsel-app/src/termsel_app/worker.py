@@ -57,7 +57,7 @@ class Worker:
 
     Attributes
     ----------
-    tell : callable
+    show : callable
         Called, in a thread of the worker, with each answer.
     """
 

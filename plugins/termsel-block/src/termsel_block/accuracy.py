@@ -91,7 +91,7 @@ def predicted(result: BlockResult, i: int, seed: int = 0, *, anywhere: bool = Fa
 
 def shared_sigma(result: BlockResult, i: int, features: FeatureSet, own_sigma: FloatArray,
                  seed: int = 0) -> tuple[float, float]:
-    """Return what the block knows an image's model to be off by, beyond what its own fit tells.
+    """Return what the block knows an image's model to be off by, beyond what its own fit shows.
 
     Standard deviations of line and sample [px], over places of features: the mean squares of the
     block's draws, less the squares `own` (n, 2) of the image's own fit there. Places of ties are
@@ -181,8 +181,8 @@ def _intersections(result: BlockResult, rays: Sequence[Sequence[tuple[int, Float
     for k, image_rays in enumerate(rays):
         for i, image in image_rays:
             by_image.setdefault(i, []).append((k, image))
-    # All searches begin at the middle of the true places: a start at each would tell the truth to
-    # rays that hardly determine a place, and so make them look accurate.
+    # All searches begin at the middle of the true places: a start at each would disclose the truth
+    # to rays that hardly determine a place, and so make them look accurate.
     start = np.broadcast_to(near.mean(axis=0), near.shape).copy()
     all_rays = []
     for i, image_rays in by_image.items():

@@ -57,7 +57,7 @@ class BlockImage:
     options : mapping
         Of that model.
     of_dem : frozenset of str
-        Points and lines whose height was taken from the DEM, of which they tell nothing.
+        Points and lines whose height was taken from the DEM, of which they show nothing.
     """
 
     name: str

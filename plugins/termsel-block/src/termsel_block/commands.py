@@ -137,7 +137,7 @@ def block_select(file: Path, output: Path, solver: str, most_features: int | Non
     """Select which control and which ties of a block are enough (the problem owdis-block).
 
     Points of the images with the role check judge. Those with the role independent take no part,
-    and tell how accurate the block is with the selection.
+    and show how accurate the block is with the selection.
 
     \b
     Example:

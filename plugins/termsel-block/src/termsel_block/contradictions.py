@@ -19,7 +19,7 @@ CONTRADICTED_BELOW = 1e-4
 
 _FAR_SIGMAS, _UNSEEN_SIGMA = 3.0, 1e3
 """Standard deviations from which on the ground is not that of the DEM, and that of a tie whose
-height no rays tell [m]."""
+height no rays show [m]."""
 
 _OVER_FREE = 1.1
 """Times that the ground is rougher than by an unknown sensor, from which on its sensor is wrong.

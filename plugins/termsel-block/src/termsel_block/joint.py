@@ -32,7 +32,7 @@ from termsel_block.geometry.heights import ControlHeights, Heights, Surface
 from termsel_block.geometry.physical import ABSURD, PhysicalModel
 
 _EXTENT_TIES = 8
-"""Ties of an image from which on their extent tells that of the image."""
+"""Ties of an image from which on their extent shows that of the image."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +168,7 @@ def _without_worse(result: BlockResult, freed_blocks: dict[str, BlockResult],
 def _with_note_on_dem(result: BlockResult) -> BlockResult:
     """Return the result, or that of a DEM which may be far off, with a note, where RPCs say so.
 
-    Without control RPCs follow the DEM, so that only a block without it can tell. The block is then
+    Without control RPCs follow the DEM, so that only a block without it can show. The block is then
     adjusted with as much uncertainty of the DEM's heights as there is between both.
     """
     block = result.block
@@ -274,9 +274,9 @@ def heights_of(block: Block, frame: Frame, dem: Surface | None) -> Heights:
         mean = float(control[:, 2].mean())
         spread = max(3 * float(control[:, 2].std()), 100.0)
     over = control[:, 2] - (mean if dem is None else dem(control[:, :2]))
-    # A DEM has no height off its raster, and points of the DEM tell nothing of it.
+    # A DEM has no height off its raster, and points of the DEM show nothing of it.
     tells = np.isfinite(over) & stated
-    # Rows of images point to control; what tells no height is -1.
+    # Rows of images point to control; what shows no height is -1.
     # -1 stays.
     renamed = np.append(np.where(tells, np.cumsum(tells) - 1, -1), -1)
     crowd = np.median(np.bincount(block.ties.image, minlength=len(block.images)))

@@ -1,4 +1,4 @@
-"""Which points may take part in what several images tell."""
+"""Which points may take part in what several images show."""
 
 from __future__ import annotations
 

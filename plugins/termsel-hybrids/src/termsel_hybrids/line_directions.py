@@ -29,7 +29,7 @@ class LineDirections(SensorModel):
         v = s M V,     with a scale s of the line's own, as v is a unit vector too.
 
     As n v = 0, the scale drops out: n M V = 0, one equation of each line. It holds whatever piece
-    of the line was measured. Nothing in it tells translation or scale: that takes points, two or
+    of the line was measured. Nothing in it shows translation or scale: that takes points, two or
     more. Every line has two rows in termsel: here they are equal halves of one equation, so that
     the redundancy counts it twice.
     """

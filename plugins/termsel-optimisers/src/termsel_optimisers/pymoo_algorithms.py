@@ -91,7 +91,7 @@ class Pymoo(Solver):
                                f"{self.options['algorithm']}", hint="Leave it out.",
                                name="horizon")
         single = self.options["algorithm"] in SINGLE
-        # Which number of objectives an algorithm can handle its class does not tell.
+        # Which number of objectives an algorithm can handle its class does not show.
         for attribute, several in (("min_objectives", 2), ("max_objectives", 8)):
             setattr(self, attribute, 1 if single else several)
 
@@ -165,7 +165,7 @@ def from_pymoo(algorithm: Algorithm, *, name: str | None = None) -> type[Solver]
                            hint="Give an object, such as GA(pop_size=60, ...).")
     homes = [base_class.__module__ for base_class in type(algorithm).__mro__
              if base_class.__module__.startswith("pymoo.")]
-    # A class of a user's own derives from one of pymoo, whose module tells what it is.
+    # A class of a user's own derives from one of pymoo, whose module shows what it is.
     for reason in (UNFIT.get(home.rpartition(".")[2]) for home in homes):
         if reason in (_UNCONSTRAINED, _NUMBERS):
             raise TermselError(f"pymoo's {type(algorithm).__name__} {reason}",

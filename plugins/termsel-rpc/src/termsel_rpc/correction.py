@@ -173,7 +173,7 @@ def _model(rpc: Rpc) -> RpcAffine:
 
 @dataclass(frozen=True, eq=False)
 class CorrectedRpc(Method):
-    """The RPC that features have, corrected as far as they tell: as delivered, by a shift, ..."""
+    """The RPC that features have, corrected as far as they show: as delivered, by a shift, ..."""
 
     def declines(self, control: FitData) -> str | None:
         """Return why the RPC is not one of this image, or the features cannot correct it."""

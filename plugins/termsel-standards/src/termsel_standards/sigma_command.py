@@ -43,7 +43,7 @@ def sigma(folder: Path, output: Path, quiet: bool, **options: Any) -> None:
     """Write the uncertainty of a result as a raster, what the model does not fit included.
 
     DIR is the folder that a run wrote with --out. The bands are standard deviations of line and
-    sample [px], of east and north [m], and 1 outside the hull of the control, where they tell
+    sample [px], of east and north [m], and 1 outside the hull of the control, where they show
     little.
 
     \b

@@ -215,7 +215,7 @@ def statements_of(ground_errors: GroundErrors, horizontal_class: float | None = 
     -----
     The words are those of ASPRS, edition 2, version 2, section 7.16. With fewer than 30 check
     points they are those for a reduced number. Of the 3D statement the part on vegetated ground is
-    left out, as nothing tells which points are there.
+    left out, as nothing shows which points are there.
 
     ASPRS, edition 2, adds the error of the survey: the horizontal accuracy is the root of the sum
     of the squares of the RMSE against the check points and of the RMSE of their survey, and the

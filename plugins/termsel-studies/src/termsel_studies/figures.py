@@ -156,7 +156,7 @@ def profile(groups: Groups) -> Figure:
 
 
 def critical_differences(comparison: Comparison) -> Figure:
-    """Return the mean ranks, with bars over methods that cannot be told apart."""
+    """Return the mean ranks, with bars over methods that cannot be distinguished."""
     alt = require_altair()
     assert comparison.difference is not None
     order = np.argsort(comparison.ranks, kind="stable")
@@ -187,8 +187,8 @@ def critical_differences(comparison: Comparison) -> Figure:
 def alike(ranks: list[float], difference: float) -> list[tuple[float, float]]:
     """Return the longest runs of sorted ranks that differ by less than a critical difference."""
     runs: list[tuple[float, float]] = []
-    # From each rank on, the farthest that cannot be told apart from it; runs within runs are left
-    # out.
+    # From each rank on, the farthest that cannot be distinguished from it; runs within runs are
+    # left out.
     for i, low in enumerate(ranks):
         high = max(rank for rank in ranks[i:] if rank - low < difference)
         if ranks.index(high) > i and not (runs and high <= runs[-1][1]):

@@ -67,7 +67,7 @@ def group(rows: Sequence[Row], records: Mapping[str, CellRecord],
     instance = (*INSTANCE, *(("model", "criterion") if measure == "fitness" else ()))
     of_method = _varying(rows, method, INSTANCE)
     of_instance: list[str] = []
-    # Without what others tell already, as the model that a problem has.
+    # Without what others show already, as the model that a problem has.
     for label in instance:
         if label in _varying(rows, instance, of_instance):
             of_instance.append(label)
@@ -100,7 +100,7 @@ def _measure(rows: Sequence[Row]) -> str:
 
 def _varying(rows: Sequence[Row], labels: Sequence[str],
              given_labels: Sequence[str] = ()) -> list[str]:
-    """Return the labels that tell rows apart, of those rows that are alike in other labels.
+    """Return the labels that show rows apart, of those rows that are alike in other labels.
 
     The first or last one where none does.
     """

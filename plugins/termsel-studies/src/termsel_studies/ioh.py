@@ -34,7 +34,7 @@ def ioh_files(groups: Groups) -> Iterator[tuple[str, str]]:
     folders = _folders(groups.methods)
     for number, (instance, by_method) in enumerate(groups.instances.items(), 1):
         file_name = file_word(instance, "all")
-        # Methods of an instance search the same genome; a run that failed does not tell its size.
+        # Methods of an instance search the same genome; a run that failed does not show its size.
         dimension = max([1, *(record.figures.get("n_genes") or 0
                               for runs in by_method.values() for record in runs.records)])
         for method, runs in by_method.items():
@@ -72,7 +72,7 @@ def _data(records: list[CellRecord]) -> str:
 
 
 def _evaluations(record: CellRecord) -> int:
-    """Return the evaluations of a run; 1 where it failed before it could tell."""
+    """Return the evaluations of a run; 1 where it failed before it could show."""
     return int(max([1, length(record.figures), *(point[0] for point in record.trace)]))
 
 

@@ -14,7 +14,7 @@ from termsel.toolkit.charts import BLUNDER, EDGE, INK, ROLE_COLOURS, View, nice
 WIDE = 120
 """Width and largest height of the drawing [px of the screen]."""
 MAX_ARROWS = 150
-"""Arrows drawn, the longest: more are not told apart at this size."""
+"""Arrows drawn, the longest: more are not distinguished at this size."""
 _LENGTH, _ARROW_HEAD, _BELOW = 0.12, 3.0, 16
 
 

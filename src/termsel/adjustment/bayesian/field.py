@@ -12,10 +12,10 @@ noise are known. All solutions on a grid are averaged with their posterior proba
 without a field, which are believed as likely beforehand, among them. So where the points show no
 local deformation the regularised polynomial remains.
 
-In a plane, few points do not tell lengths from noise. There a thin-plate spline, a field without
-lengths and next to affine functions alone, is a third course, and an affine image a fourth, all as
-likely beforehand. From SPLINE_SURE_POINTS to SPLINE_MAX_POINTS this fades: a fold is judged as they
-are.
+In a plane, few points do not distinguish lengths from noise. There a thin-plate spline, a field
+without lengths and next to affine functions alone, is a third course, and an affine image a fourth,
+all as likely beforehand. From SPLINE_SURE_POINTS to SPLINE_MAX_POINTS this fades: a fold
+is judged as they are.
 
 With many points the field is spanned by the covariances with FIELD_KNOTS of them.
 
@@ -135,8 +135,8 @@ def _log_sum(logs: list[FloatArray]) -> FloatArray:
 
 FIELD_LENGTHS = ((0.15, 0.15), (0.3, 0.3), (0.6, 0.6), (1.2, 1.2), (0.15, 1.2), (1.2, 0.15))
 """Lengths of line and sample, by the half-range of the image: from about the distance of
-neighbours among a hundred points to where a field cannot be told from a polynomial; and two that
-differ."""
+neighbours among a hundred points to where a field cannot be distinguished from a polynomial;
+and two that differ."""
 
 FIELD_RATIOS = (0.02, 0.2, 2.0)
 """Standard deviations of the field by those of quadratic coefficients, which `posterior.SIZES`
@@ -281,7 +281,7 @@ class GaussianProcess:
         polynomial, fields = self._coefficients
         columns = monomials(ground, self.exponents)
         image = columns @ polynomial
-        # Fields live in the image: the distance between points there is what tells how alike they
+        # Fields live in the image: the distance between points there is what shows how alike they
         # are.
         positions = columns[:, :len(self.to_image)] @ self.to_image
         for start in range(0, len(ground), GROUND_BATCH):

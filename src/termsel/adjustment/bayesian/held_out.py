@@ -129,7 +129,7 @@ def mean_probability(strain: tuple[FloatArray, FloatArray],
     """Return the mean of (1 + scale (strain of line + strain of sample))^-half, shape (m,).
 
     Strains are (u, m) and (v, m), under the solutions of line and sample; the cells, (c,) each,
-    tell which of these occur together. Of each such pair come a factor, `scale` (c,), and its
+    show which of these occur together. Of each such pair come a factor, `scale` (c,), and its
     probability, `share` (c,). `half` is half the degrees of freedom.
     """
     power = strain[0].take(solution_of_cell[0], axis=0)

@@ -34,7 +34,7 @@ from termsel.data.monomials import Exponents, monomials
 
 PRIOR_SIZES = np.append(0.0, 10.0 ** np.arange(-0.5, 5.5, 0.5))
 """Standard deviations of quadratic coefficients by that of the noise: 0, which is the affine model,
-and from where they cannot be told from 0 to where they are as good as free."""
+and from where they cannot be distinguished from 0 to where they are as good as free."""
 
 AFFINE_PROBABILITY = 0.25
 """Probability of an affine image before the points are looked at."""

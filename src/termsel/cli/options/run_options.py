@@ -273,7 +273,7 @@ class RunOptions:
         if not self.files:
             return None, options
         self._require_correction()
-        # Options of reading stand under --set with all others, and are told apart by their names.
+        # Options of reading stand under --set with all others; their names distinguish them.
         of_reading = {option.name: options.pop(option.name) for option in read_options()
                       if option.name in options} if options else {}
         refuse_misspelt(options)

@@ -288,7 +288,7 @@ class _Chain:
                     self._require_known(path, head)
                     self.plain.append(name)
                     return 1
-                # One byte more than the limit tells that there is more.
+                # One byte more than the limit shows that there is more.
                 content = head + file.read(_LARGEST_XML + 1 - len(head))
         except OSError:  # GDAL says why
             return 1
@@ -449,7 +449,7 @@ def _near(path: Path) -> Iterator[str]:
     """Yield the files in the folder of a raster that have its name with another ending."""
     beginnings = _neighbour_beginnings(path)
     for entry in _entries(str(path.parent)):
-        # Without regard to case, as GDAL tries both, and some file systems do not tell them apart.
+        # Without regard to case, as GDAL tries both, and some file systems do not show them apart.
         if entry.casefold().startswith(beginnings) and entry != path.name:
             yield entry
 

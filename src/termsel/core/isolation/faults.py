@@ -74,7 +74,7 @@ def surroundings_kept() -> Iterator[None]:
         if folder is not None and _folder() != folder:
             os.chdir(folder)
         if warnings.filters != filters:
-            warnings.resetwarnings()  # tells Python that they changed
+            warnings.resetwarnings()  # shows Python that they changed
             warnings.filters[:] = filters  # type: ignore[index]
 
 

@@ -103,7 +103,7 @@ def on_globe(ground: FloatArray, crs: str) -> FloatArray:
 
 
 def _degrees(ground: FloatArray, crs: str) -> FloatArray:
-    """Return longitude, latitude [deg] and height of positions; a copy where nothing tells them."""
+    """Return longitude, latitude [deg] and height of positions; a copy where nothing shows them."""
     positions = ground.copy()
     try:
         if is_geocentric(crs):
@@ -113,7 +113,7 @@ def _degrees(ground: FloatArray, crs: str) -> FloatArray:
             turn = transformation(horizontal(crs), geodetic, strict=False)
             # Heights are of no account in the plane, and may be unknown.
             positions[:, :2] = turn(np.nan_to_num(ground))[:, :2]
-    except TermselError:  # without a CRS or without pyproj nothing tells
+    except TermselError:  # without a CRS or without pyproj nothing shows
         return ground.copy()
     if not np.isfinite(positions[:, :2]).all():
         return ground.copy()

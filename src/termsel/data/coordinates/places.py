@@ -128,10 +128,10 @@ _RUN = 5
 """Neighbours by which noise is told: a cubic polynomial goes through all but one of them."""
 
 _TERMS = 19
-"""Smooth columns, which tell what curvature and heights do."""
+"""Smooth columns, which show what curvature and heights do."""
 
 _ENOUGH = 3 * _TERMS
-"""Runs from which on they tell the noise; with fewer, being regular is enough."""
+"""Runs from which on they show the noise; with fewer, being regular is enough."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,7 +193,7 @@ def _ranks_of_values(values: FloatArray) -> IntArray:
 
 
 def _noise(points: Points, lattice: Lattice) -> float | None:
-    """Return the noise of the ground along lines [px]; None where too few neighbours tell it.
+    """Return the noise of the ground along lines [px]; None where too few neighbours show it.
 
     In each run of neighbours on a line, weights take out a cubic polynomial of the sample. Of a
     smooth geometry they leave of longitude and latitude what they leave of smooth columns.

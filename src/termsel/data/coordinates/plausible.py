@@ -157,11 +157,11 @@ def _values(xy: FloatArray, name: str, i: int) -> str:
 
 # Ground coordinates that are not all of one kind: zones of UTM, and minutes typed as decimals.
 #
-# What the image shows tells: read the other way, the points are its affine image, and as they stand
+# What the image shows shows: read the other way, the points are its affine image, and as they stand
 # they are not.
 
 MIN_AFFINE_POINTS = 6
-"""Points from which on an affine image tells."""
+"""Points from which on an affine image shows."""
 
 BETTER = 0.1
 """Share of the errors as the coordinates stand, which those of another reading must stay below."""
@@ -206,7 +206,7 @@ def _two_zones(features: FeatureSet) -> str:
         read[far, :2] = turned[:, :2]
         if _error(features.points.image, read) < BETTER * as_it_stands:
             ids = [features.points.ids[i] for i in np.flatnonzero(far)]
-            # Which of the two is the zone of the CRS, the coordinates do not tell.
+            # Which of the two is the zone of the CRS, the coordinates do not show.
             direction = "west" if neighbour < zone else "east"
             return (f"{len(ids)} of {len(features.points)} points look as if they were in the zone "
                     f"of UTM {direction} of that of the others: {first_of(ids, MAX_POINTS_NAMED)}. "
@@ -237,7 +237,7 @@ def _minutes(features: FeatureSet) -> str:
     # With a margin for decimals such as 35.0 that are stored as 34.999...
     degrees = np.floor(size + 1e-9)
     decimals = size - np.floor(size + 1e-9)
-    # Within one degree both readings are affine images of each other, and nothing tells.
+    # Within one degree both readings are affine images of each other, and nothing shows.
     if not (np.ptp(degrees * sign, axis=0) > 0).any() or (decimals >= MINUTES).any():
         return ""
     # 34.4730 may stand for 34 deg 47.30', or for 34 deg 47' 30".

@@ -1,4 +1,4 @@
-"""Parts of a record that tell how good a fit is: RMSE, accuracy, diagnosis."""
+"""Parts of a record that show how good a fit is: RMSE, accuracy, diagnosis."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ CONFIDENCE = 0.9
 """Probability of an interval."""
 
 FEW_EVALUATIONS = 1000
-"""Evaluations below which a search that finds no selection tells nothing of the model."""
+"""Evaluations below which a search that finds no selection shows nothing of the model."""
 
 TOO_FEW = "which is too few"
 """What the judgement of a search says whose evaluations were too few to find a selection."""
@@ -210,7 +210,7 @@ class Outlier(RecordPart, frozen=True, omit_defaults=False):
     a vertex, as the others predict it."""
     certainty: Literal["certain", "probable", "possible"]
     """Whether it is a blunder: certainly; more likely than not; or the others are too few or too
-    far to tell."""
+    far to show."""
     excluded: bool
     """Whether the fit does without it."""
 
@@ -241,7 +241,7 @@ class Predicted(RecordPart, frozen=True, omit_defaults=False):
     points: Positive | None = None
     """Number of independent points whose RMSE the interval is for; null for the true accuracy."""
     pixel: Size | None = None
-    """How far a pixel is on the ground [m]; null where the CRS or the model does not tell."""
+    """How far a pixel is on the ground [m]; null where the CRS or the model does not show."""
 
 
 class Errors(RecordPart, frozen=True, kw_only=True):

@@ -108,13 +108,13 @@ class WhatWasRead(RecordPart, frozen=True):
     without_height: Count
     """How many of these have no height."""
     place: str
-    """Latitude and longitude of the middle, such as "34.8 N, 48.5 E"; empty where nothing tells."""
+    """Latitude and longitude of the middle, such as "34.8 N, 48.5 E"; empty where nothing shows."""
     doubt: str
     """Which axes look swapped, and why; empty if none do."""
     left_out: Mapping[str, Names]
     """Ids of what takes no part, by the reason; without blunders, which are `outliers`."""
     z_unit: str = ""
-    """Unit of z and what tells it, where that was open or is not metres."""
+    """Unit of z and what shows it, where that was open or is not metres."""
     height_doubt: str = ""
     """How far a DEM is from the heights of control, where it contradicts them."""
     two_groups: str = ""

@@ -1,4 +1,4 @@
-"""Parts of a record that tell how the selection was made: search, proof, choice."""
+"""Parts of a record that show how the selection was made: search, proof, choice."""
 
 from __future__ import annotations
 

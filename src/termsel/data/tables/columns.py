@@ -191,7 +191,7 @@ def declared(header: Sequence[str], columns: Mapping[str, str]) -> dict[str, int
 
 POINT, COMMA = ".", ","
 _THREE = "three"
-"""All cells have three digits after a point: decimals, unless other columns tell otherwise."""
+"""All cells have three digits after a point: decimals, unless other columns show otherwise."""
 _PARTED = re.compile(r"(?<=\d)[\s'’](?=\d{3}(?!\d))")
 _ONE_GROUP = {sign: re.compile(rf"[+-]?[1-9]\d{{0,2}}\{sign}\d{{3}}") for sign in (POINT, COMMA)}
 _GROUPS = {sign: re.compile(rf"[+-]?\d{{1,3}}(\{sign}\d{{3}})+(\{other}\d*)?")
@@ -226,7 +226,7 @@ def decimal_signs(columns: Mapping[str, Sequence[str]], stated: str = "", *,
     open columns that others, or the user, decided come second. Raises BadCell if cells of one
     column contradict each other.
     """
-    # "." or "," where cells tell, "three" or "" where they leave it open, None without any sign.
+    # "." or "," where cells show, "three" or "" where they leave it open, None without any sign.
     evidence = {name: _sign(name, cells, points_only) for name, cells in columns.items()}
     certain = {sign for sign in evidence.values() if sign in (POINT, COMMA)}
     open_sign = stated or (certain.pop() if len(certain) == 1 else "")

@@ -1,4 +1,4 @@
-"""What --columns could say of a table whose header does not tell which column is which."""
+"""What --columns could say of a table whose header does not show which column is which."""
 
 from __future__ import annotations
 

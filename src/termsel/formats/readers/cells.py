@@ -124,7 +124,7 @@ def sniffed(path: Path, head: bytes, aliases: Aliases,
 
 
 def decoded(data: bytes, path: Path, *, final: bool = True) -> tuple[str, str]:
-    """Return text, and its encoding: UTF-8, UTF-16, Windows-1252, or one that names tell.
+    """Return text, and its encoding: UTF-8, UTF-16, Windows-1252, or one that names show.
 
     If not `final`, `data` are the first bytes of more. Raises TermselError if they are no text.
     """

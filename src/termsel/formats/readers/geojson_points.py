@@ -108,7 +108,7 @@ def _table(path: Path, features: list[Feature], options: Mapping[str, Any]) -> T
         records.append(record)
     names = list(dict.fromkeys(chain.from_iterable(records)))
     if _GROUND["z"] not in names and "z" not in stated and not matches(names, POINTS)["z"]:
-        for record in records:  # heights that nothing tells are blank
+        for record in records:  # heights that nothing shows are blank
             record[_GROUND["z"]] = nan
     numbers = [feature.number for feature in features]
     cells = of_records(records, "feature", {**_GROUND, **_OF_JI, **_OF_SIGMA}, numbers)

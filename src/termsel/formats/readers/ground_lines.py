@@ -36,7 +36,7 @@ class GeoJsonLines(Reader):
     """Ground lines as GeoJSON, joined with image lines.
 
     The image lines are a table, or the property `ji` of each ground line: a list of [column, row]
-    along it, which need not be conjugate to the ground vertices. The page on ground lines tells
+    along it, which need not be conjugate to the ground vertices. The page on ground lines shows
     how polylines are joined. Without a "crs" of its own the file is in WGS84.
     """
 

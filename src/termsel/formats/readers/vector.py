@@ -43,7 +43,7 @@ POINT_KINDS = {"Point": 0, "MultiPoint": 1}
 def is_vector(head: bytes) -> bool:
     """Return True for the first bytes of a GeoPackage, Shapefile or FlatGeobuf."""
     return (head.startswith((b"\0\0\x27\x0a", b"fgb\x03fgb"))
-            # The application id in the header tells a GeoPackage from other databases.
+            # The application id in the header distinguishes a GeoPackage from other databases.
             or (head.startswith(b"SQLite format 3\0") and head[68:70] == b"GP"))
 
 

@@ -111,7 +111,7 @@ class RpcWriter(Writer):
         elif image is not None:
             with open_raster(image) as raster:
                 rpc_in_use = raster.tags(ns="RPC")
-            # GDAL's tags tell whether it uses any; termsel's own reader tells which.
+            # GDAL's tags show whether it uses any; termsel's own reader shows which.
             if not rpc_in_use or read_rpc(Path(image)) != rpc:
                 stem = Path(image).stem
                 log.warning("Warning: GDAL does not use this RPC for %s. A file beside it has "

@@ -205,7 +205,7 @@ def fit_rows(view: View) -> list[Row]:
             of_role = rmse.by_role[role]
             if of_role.interval:
                 low, high = of_role.interval
-                # A fit's own points say little; a hollow symbol tells them.
+                # A fit's own points say little; a hollow symbol shows them.
                 note = "fitted" if role == "check" and fitted else "judged"
                 rows.append({"fit": name, "role": role, "rmse": of_role.total, "low": low,
                              "high": high, "note": note})

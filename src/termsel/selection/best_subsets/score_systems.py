@@ -246,7 +246,7 @@ class ScoreSystems:
                            incumbent: float) -> float:
         """Return a lower bound of the scores of all subsets with more columns than those in use.
 
-        `first_closed` tells only whether all of them score more than some value: bisection finds
+        `first_closed` shows only whether all of them score more than some value: bisection finds
         the largest such value, at most the incumbent's score.
         """
         n = len(node.candidates)

@@ -1,7 +1,7 @@
 """The best subsets that differ from one by a column, all told from one factorisation.
 
 Descents look at every such change of a subset. Of residual sums of squares one factorisation of the
-subset tells them all, as the sacrifices of splicing do (Zhu et al. 2020, PNAS 117(52)), but exactly
+subset shows them all, as the sacrifices of splicing do (Zhu et al. 2020, PNAS 117(52)), but exactly
 and for exchanges as well. So only the best of each size is scored as every subset is.
 """
 

@@ -72,7 +72,7 @@ class Press(_LeftOut):
                     system.equations, fits.terms[batch, system.columns], used[batch])
                 determined &= one_by_one
             squares[batch] = np.where(determined[:, None], fits.held_out_each(solutions), np.inf)
-        # A twin would tell what the point held out is: all of them are held out together.
+        # A twin would show what the point held out is: all of them are held out together.
         for group in groups:
             if len(group) > 1:
                 squares[:, group] = _fold_errors(fits, group)

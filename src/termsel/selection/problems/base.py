@@ -280,7 +280,7 @@ class Problem(Guarded, ABC):
         -------
         tuple of RowSystem or None
             Independent parts whose squared errors of the selection points add up, and order the
-            selections as the objective does; none where only an evaluation tells it. None if the
+            selections as the objective does; none where only an evaluation shows it. None if the
             genes are not a selection of features alone.
         """
         return None

@@ -46,7 +46,7 @@ def listed(value: str | None) -> list[str]:
 def without_heights(names: tuple[str, ...], options: Mapping[str, Any]) -> dict[str, str]:
     """Return options of a problem by which no term with Z is in use but those that are asked for.
 
-    They are for control that does not tell what a height does; `options` are those it has.
+    They are for control that does not show what a height does; `options` are those it has.
     """
     height_terms = {name: term for name in names if (term := Term.parse(name)).has_height
             and not isinstance(term.exponents, str)}

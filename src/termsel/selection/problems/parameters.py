@@ -99,7 +99,7 @@ class ParameterProblem(Problem):
 
     def _values(self, genes: Genes) -> dict[str, Any]:
         """Return the parameters that genes stand for, by name."""
-        # The genome tells values of whole chromosomes; those of terms play no part.
+        # The genome shows values of whole chromosomes; those of terms play no part.
         all_genes = np.concatenate([np.zeros(self._n_terms, dtype=genes.dtype), genes])
         values = self.genome.values(all_genes)
         return {name: values[name][name] for name in self.parameters}

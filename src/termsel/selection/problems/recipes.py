@@ -185,13 +185,13 @@ def term_options(**defaults: Any) -> tuple[Option, ...]:
 
 
 def with_defaults(declared: tuple[Option, ...], **defaults: Any) -> tuple[Option, ...]:
-    """Return options of which some, by name, have other defaults, and no longer tell the usual one.
+    """Return options of which some, by name, have other defaults, and no longer show the usual one.
     """
     options = {option.name: option for option in declared}
     for name, default in defaults.items():
         if name not in options:
             raise unknown_name("option", name, options)
-        # A text that tells the usual default would be wrong of this one.
+        # A text that shows the usual default would be wrong of this one.
         options[name] = replace(options[name], default=default,
                                 doc=_USUAL.sub("", options[name].doc))
     return tuple(options.values())
@@ -235,7 +235,7 @@ def options_of(problem: Problem) -> frozenset[str]:
     """Return the names of the options that a problem has by being a `SelectionProblem`."""
     if not isinstance(problem, SelectionProblem):
         return frozenset()
-    # What is selected tells which options have a meaning.
+    # What is selected shows which options have a meaning.
     names = {segment.name for segment in problem.genome.segments}
     options: tuple[Option, ...] = OF_BOTH
     if "features" not in names:

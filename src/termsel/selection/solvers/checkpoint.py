@@ -42,7 +42,7 @@ _TOLERANCE = 1e-6
 class _Line(msgspec.Struct, forbid_unknown_fields=True):
     """Evaluations of one population, of one stage of the run.
 
-    `digest` tells which individuals they are of; `values` are little-endian float64, the objectives
+    `digest` shows which individuals they are of; `values` are little-endian float64, the objectives
     and the violation of each; `seconds` is what the search had taken by then.
     """
 
@@ -162,7 +162,7 @@ class Stage:
             values = np.frombuffer(line.values, dtype="<f8")
             columns = len(problem.objectives) + 1
             n = len(values) // columns
-            # The digest of the selections tells whether this is the same search.
+            # The digest of the selections shows whether this is the same search.
             if n == 0 or len(values) % columns or n > len(keys) \
                     or line.digest != _digest(keys[:n]):
                 raise self._error_for_other_search()

@@ -38,7 +38,7 @@ def made_of(value: Any) -> str:
 
 
 def _words(value: Any, above: set[int]) -> Iterator[str]:
-    """Yield what tells a value from others; never an address, which no other process has."""
+    """Yield what distinguishes a value from others; no address, which other processes have not."""
     if isinstance(value, _PLAIN):
         yield f"{type(value).__name__} {value!r}"
         return
@@ -119,7 +119,7 @@ def _parts_of_function(function: FunctionType) -> Iterator[Any]:
         return
     yield from (_source(_root(function)), function.__code__, function.__defaults__,
                 function.__kwdefaults__)
-    if _root(function) == "__main__":  # no package tells what its names stand for
+    if _root(function) == "__main__":  # no package shows what its names stand for
         for name in function.__code__.co_names:
             used = function.__globals__.get(name)
             # One step far: what those names use in turn is not looked at.

@@ -31,7 +31,7 @@ DIED = "the process that ran this cell ended: out of memory, killed, or a fault 
 
 @contextmanager
 def deferred(say: Callable[[], None]) -> Iterator[Stop]:
-    """Yield what tells whether Ctrl-C was pressed, and calls `say`; a second one interrupts."""
+    """Yield what shows whether Ctrl-C was pressed, and calls `say`; a second one interrupts."""
     pressed = False
 
     def note(_number: int, _frame: FrameType | None) -> None:
@@ -120,7 +120,7 @@ def begin_worker(features: Mapping[str, FeatureSet]) -> None:
 
 
 def _end_with_parent() -> None:
-    """End this process when the study is gone: a killed one cannot tell its workers."""
+    """End this process when the study is gone: a killed one cannot show its workers."""
     parent = parent_process()
     if parent is not None:
         parent.join()

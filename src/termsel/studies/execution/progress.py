@@ -59,7 +59,7 @@ class Tally:
         self._left = Counter(map(kind_of, cells.values()))
         self._times: dict[Any, tuple[int, float]] = {}
         self._worst = (0.0, "")
-        # A cell is called by what tells it from the others.
+        # A cell is called by what distinguishes it from the others.
         self._telling = []
         for name in LABELS:
             if len({labels[name] for labels in cells.values()}) > 1:

@@ -166,7 +166,7 @@ def _search_as_asked(cell: Cell, features: FeatureSet, trace: _Trace) -> tuple[
     is_judged = feasible and fitted.estimator.least_squares
     fitness = float(search.objectives[0]) if is_judged else None
     trace.end(search)
-    times = trace.times()  # what follows tells about the study, and takes no part in the run
+    times = trace.times()  # what follows shows about the study, and takes no part in the run
     # Only the figures of a table. A run also compares its selection with all plain models, which
     # takes longer than most searches and is the same for all seeds.
     figures: dict[str, Any] = {

@@ -1,4 +1,4 @@
-"""Where the keys and values of a TOML text are, which the parser does not tell."""
+"""Where the keys and values of a TOML text are, which the parser does not show."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ from termsel_block.geometry.heights import Heights
 WRONG = 4.0
 """A tie is a blunder if it is so many standard deviations off, in line or in sample.
 
-Control is so by as many at least, and by more where few measurements tell its precision.
+Control is so by as many at least, and by more where few measurements show its precision.
 """
 
 _ANY = 0.05
@@ -349,7 +349,7 @@ class _Run(Steps):
         # One ray alone says nothing.
         for i, measured in enumerate(self.measured):
             state.in_use[i] = state.in_use[i] & (count[measured.tie] > 1)
-        # By a standard deviation that few measurements tell, four of them are no rare distance.
+        # By a standard deviation that few measurements show, four of them are no rare distance.
         rows = sum(map(len, of_control))
         limit = max(WRONG, -float(stdtrit(state.freedom_control, _ANY / (2 * max(rows, 1)))))
         for i, (residual, control) in enumerate(zip(of_control, self.control, strict=True)):
@@ -360,7 +360,7 @@ class _Run(Steps):
             agrees = np.array([name not in names for name in control.feature], bool)
             changed |= bool((agrees != state.control_in_use[i]).any())
             state.control_in_use[i] = agrees
-        # Heights of control left out no longer tell the offset of all heights.
+        # Heights of control left out no longer show the offset of all heights.
         self.heights.keep(state.control_in_use)
         return changed
 

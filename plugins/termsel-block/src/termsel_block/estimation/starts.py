@@ -24,7 +24,7 @@ LEAST_TIES = 6
 # Of control: four points give an affine model in space.
 _LEAST_ROWS = 8
 _SEVERAL = 3
-"""Ties that two images share from which on these alone tell whether an RPC is of another place."""
+"""Ties that two images share from which on these alone show whether an RPC is of another place."""
 _ROUNDS = 12
 # Fits of a first model, whose perspective is that of the one before.
 _PERSPECTIVE_FITS = 3

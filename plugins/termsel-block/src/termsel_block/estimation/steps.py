@@ -215,7 +215,7 @@ class Steps:
         """Return what no parameter changes at an image's ties, computed once for a state."""
         camera = self.state.cameras[i]
         ties = self.state.ties
-        # Camera and ties are replaced, never changed: identity tells whether they are the same.
+        # Camera and ties are replaced, never changed: identity shows whether they are the same.
         if i not in self.fixed_parts or not (
                 self.fixed_parts[i][0] is camera and self.fixed_parts[i][1] is ties):
             self.fixed_parts[i] = camera, ties, camera.fixed(ties[self.measured[i].tie])

@@ -15,7 +15,7 @@ from termsel_block.geometry.frame import FloatArray, IntArray
 
 MAX_INTEGRATED = 200
 """Parameters with unknown variances above which the variances are taken as estimated: many images
-tell them, and the time grows with the cube."""
+show them, and the time grows with the cube."""
 
 _FIRST, _KEPT = 100, 400
 """Draws until the chain has forgotten its start, and those after it."""
@@ -96,7 +96,7 @@ def integrate(normal: FloatArray, step: FloatArray, cameras: Sequence[Camera],
     -----
     The model is that of `variances.estimated`: a group of columns has one standard deviation in all
     images, half t about a first guess. Each image's own follows it with `OWN` degrees of freedom.
-    Taken as known they would make errors look smaller than they are, as 20 columns tell a variance
+    Taken as known they would make errors look smaller than they are, as 20 columns show a variance
     to a third. So is that of a DEM's offset.
 
     Columns of a group may be unlike (`Camera.scales`). An attitude bends images along their lines
@@ -104,7 +104,7 @@ def integrate(normal: FloatArray, step: FloatArray, cameras: Sequence[Camera],
     scale has a standard deviation in all images, which follows the group's as an image's own does.
 
     Draws are those of Gibbs: parameters by variances, variances by parameters. Where data hardly
-    tell a parameter, its scale follows it, and neither would move. So a scale is drawn a second
+    show a parameter, its scale follows it, and neither would move. So a scale is drawn a second
     time together with its parameters, as Yu and Meng 2011 interweave them (To center or not to
     center, J. Comput. Graph. Stat. 20(3), 531-570).
     """
@@ -128,7 +128,7 @@ def integrate(normal: FloatArray, step: FloatArray, cameras: Sequence[Camera],
     # Schur complement of the others, in units of the first guesses.
     matrix = (of_data[np.ix_(at, at)] - of_data[np.ix_(at, others)] @ gain) * np.outer(scale, scale)
     values, vectors = np.linalg.eigh((matrix + matrix.T) / 2)
-    # What ties cannot tell is zero.
+    # What ties cannot show is zero.
     matrix = (vectors * np.maximum(values, 0.0)) @ vectors.T
     # And its right side, so that matrix @ x = right is what data alone say of x.
     right = (aim[at] - gain.T @ aim[others]) * scale + matrix @ (current / scale)

@@ -74,7 +74,7 @@ def looser(cameras: Sequence[Camera], parameters: Sequence[FloatArray],
     """Return what standard deviations of stated terms are times what their model states.
 
     By all images of the model together: a sensor may turn faster than most, in all its images.
-    What they do not tell keeps what is stated.
+    What they do not show keeps what is stated.
     """
     squares: dict[str, list[float]] = {}
     for camera, mean, covariance in zip(cameras, parameters, covariances, strict=True):

@@ -203,7 +203,7 @@ def _check_names(names: Sequence[str], path: Path) -> None:
             raise TermselError(f"{short_name!r} cannot be the name of an image, whose result gets "
                                "a folder of that name", file=path,
                                hint=f"Use letters, digits, - and _, and at most {_LONGEST} bytes.")
-    # Windows and macOS do not tell capitals in names of files.
+    # Windows and macOS do not show capitals in names of files.
     for folder, count in Counter(name.casefold() for name in names).items():
         if count > 1:
             same_folder = [repr(name) for name in names if name.casefold() == folder]

@@ -40,7 +40,7 @@ def together(folder: Path, last: str) -> Iterator[Path]:
             new.mkdir()
             old.mkdir()
             yield new
-            # The last file tells that all are there: it is moved when the others are.
+            # The last file shows that all are there: it is moved when the others are.
             files = sorted((file for file in new.rglob("*") if file.is_file()),
                            key=lambda file: file == new / last)
             _move_into_place(files, new, old, folder)

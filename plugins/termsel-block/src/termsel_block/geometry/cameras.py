@@ -285,7 +285,7 @@ class PolynomialCamera(LinearCamera):
     -s (r p - (r m) l) / D, with l and s the terms of degree 1 of line and sample. The ray is where
     l and s do not change. Lines follow one another in time; the rays of two of them part as radii
     of the Earth do, which adds -l z / R. A wrong ray bends the image: where control leaves the ray
-    open, the derivatives of the perspective by it tell how far.
+    open, the derivatives of the perspective by it show how far.
     """
 
     permanent = frozenset({_AFFINE, _QUADRATIC})

@@ -20,7 +20,7 @@ class Frame:
     """East, north and up of a place: what a camera sees is simplest where axes are straight.
 
     In longitude and latitude meridians converge and the ground is flat, so that every image would
-    have the same quadratic terms, which ties cannot tell from a bent ground.
+    have the same quadratic terms, which ties cannot distinguish from a bent ground.
 
     Parameters
     ----------

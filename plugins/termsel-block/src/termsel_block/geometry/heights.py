@@ -23,7 +23,7 @@ _OF_GROUND, _OF_ERRORS = 20.0, 5.0
 # In m.
 _MIN_ROUGHNESS = 0.5
 _AS_MANY = 2.0
-# Robust standard deviations beyond which a height tells nothing more of the roughness.
+# Robust standard deviations beyond which a height shows nothing more of the roughness.
 _OUTLYING = 4.0
 _MAD = 1.4826
 
@@ -37,7 +37,7 @@ class ControlHeights:
     over : ndarray, shape (k,)
         Over the surface [m].
     of_rows : tuple of ndarray, shape (n,)
-        Of each image: the height of each row of its control; -1 where that tells none.
+        Of each image: the height of each row of its control; -1 where that shows none.
     """
 
     over: FloatArray = field(default_factory=lambda: np.empty(0))
@@ -78,7 +78,7 @@ class Heights:
     """Heights are those of a surface, plus an offset that all share, plus what each has of its own.
 
     The surface is a DEM, or level at the mean that RPCs or control state. The offset is an unknown
-    of the adjustment; heights of control tell it, too. So in a pair, whose ties cannot tell their
+    of the adjustment; heights of control show it, too. So in a pair, whose ties cannot show their
     height, the ground is as high as control says, within its roughness, and no better.
 
     Parameters

@@ -39,7 +39,7 @@ _FREE_SIGMA = 10.0
 """Standard deviation of a term without a prior: half images, of a place in the image."""
 
 _MEASURED_SHARE = 0.1
-"""Share of a prior's variance that measurements take, from which on they tell of the term."""
+"""Share of a prior's variance that measurements take, from which on they show of the term."""
 
 _NAMED_FROM = 3.0
 """Standard deviations beyond which a term is named."""
@@ -190,7 +190,7 @@ class PhysicalCamera(Camera):
         Notes
         -----
         Where the priors are true, a posterior mean has the variance of the prior less that of the
-        posterior. What measurements do not tell has neither, and is left out.
+        posterior. What measurements do not show has neither, and is left out.
         """
         at = np.flatnonzero(self.has_prior)
         mean = parameters[at]

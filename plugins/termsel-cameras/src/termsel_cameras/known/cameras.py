@@ -78,7 +78,7 @@ CAMERAS: dict[str, SurveyCamera] = {
                                "IPGP, waypoints_generator, drones.json: 8.8 mm, 13.2 by 8.8 mm"),
 }
 """Cameras by name. Of a type the focal length differs from camera to camera, which the spread
-states; a report of calibration tells that of one."""
+states; a report of calibration shows that of one."""
 
 FIELDS = ("focal", "focal_spread", "principal_point", "distortion", "source")
 

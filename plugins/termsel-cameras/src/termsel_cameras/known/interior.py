@@ -77,7 +77,7 @@ class Interior:
     focal_spread : float
         Relative standard deviation of it.
     line, sample : float
-        Principal point [px]; NaN where nothing tells it.
+        Principal point [px]; NaN where nothing shows it.
     reach : float
         Scale of its prior [px].
     distortion : tuple of 5 floats
@@ -170,7 +170,7 @@ def interior_of_file(path: str) -> Interior:
     Raises
     ------
     TermselError
-        If there is none, or it is of a type, whose pixels only an image tells.
+        If there is none, or it is of a type, whose pixels only an image shows.
     """
     content = camera_named(path)
     if isinstance(content, SurveyCamera):
@@ -228,7 +228,7 @@ def _pixel(stated: Mapping[str, str], named: SurveyCamera | None,
 
 def _with_middle(interior: Interior, stated: Mapping[str, str],
                  size: tuple[int, int] | None) -> Interior:
-    """Return an interior with the principal point, where the image or an option tells it."""
+    """Return an interior with the principal point, where the image or an option shows it."""
     # Half the diagonal of the image, of which the scale of the prior of the principal point is a
     # share.
     half = np.nan if size is None else float(np.hypot(*size)) / 2

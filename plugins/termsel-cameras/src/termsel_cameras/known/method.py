@@ -84,7 +84,7 @@ class ByKnownCamera(Estimator):
     def spread(self, fitted: Fit, ground: FloatArray) -> Spread:
         """Return the mean square errors at scaled places (see `Estimator.spread`).
 
-        A measurement with Student's errors tells (t + 2) / (t + 4) of what a normal one of the
+        A measurement with Student's errors shows (t + 2) / (t + 4) of what a normal one of the
         same scale does, and its variance is t / (t - 2) of the square of that.
         """
         model = fitted.model
@@ -135,12 +135,12 @@ def _camera_of(fitted: Fit) -> Pinhole:
 
 @dataclass(frozen=True, eq=False)
 class KnownCamera(Method):
-    """The camera that columns of the points, options of reading or the image's EXIF tell."""
+    """The camera that columns of the points, options of reading or the image's EXIF show."""
 
     def declines(self, control: FitData) -> str | None:
         """Return why no camera is known, or the points are not for one.
 
-        What is said wrongly of a camera is an error, which the run tells.
+        What is said wrongly of a camera is an error, which the run shows.
         """
         features = control.features
         interior = interior_of(features)

@@ -53,7 +53,7 @@ but some are oblique."""
 
 SOMEWHERE = 0.3
 """Scale of the prior of the principal point about the middle of the control, by its half extent,
-where nothing tells it."""
+where nothing shows it."""
 
 UNKNOWNS = 6
 
@@ -61,7 +61,7 @@ APART = 0.05
 """Part of its distance by which two places of a camera differ, if they are two."""
 
 ALIKE = 6.0
-"""Twice the logarithm of the likelihood by which two cameras must differ, if points tell them."""
+"""Twice the logarithm of the likelihood by which two cameras must differ, if points show them."""
 
 CAMERA_FILE = Option("camera", None, "A camera file NAME.json: focal, principal point and "
                                      "distortion; options that are given come before it.")
@@ -173,7 +173,7 @@ class KnownFrame(SensorModel):
 
     @cached_property
     def principal(self) -> FloatArray:
-        """Principal point [px]; the middle of the control where nothing tells it."""
+        """Principal point [px]; the middle of the control where nothing shows it."""
         assert self.scaling is not None
         stated = self.options["line"], self.options["sample"]
         return np.array(self.scaling.image_offset if None in stated else stated)
@@ -267,7 +267,7 @@ class KnownFrame(SensorModel):
         rows = np.ones((len(cameras), 3))
         costs = measured.costs(cameras, rows, camera.sigma)
         far = np.linalg.norm(cameras.position[0])
-        # Cameras that cost nearly the same and stand elsewhere: the points do not tell them apart.
+        # Cameras that cost nearly the same and stand elsewhere: the points do not show them apart.
         distances = np.linalg.norm(cameras.position - cameras.position[0], axis=1)
         elsewhere = distances > APART * far
         as_good = costs < costs[0] + ALIKE

@@ -34,7 +34,7 @@ class CameraOptions:
              image: Path | str | None) -> FeatureSet:
         """Return features with what options say of the camera as columns of the points.
 
-        Without options and columns the EXIF of the image tells it, where there is one.
+        Without options and columns the EXIF of the image shows it, where there is one.
         """
         stated = {name: str(options_given[name]) for name in NAMES
                   if options_given.get(name) is not None}
@@ -59,7 +59,7 @@ class CameraOptions:
 
 
 def of_exif(image: Path, features: FeatureSet) -> dict[str, str]:
-    """Return what the EXIF of an image tells of its camera; nothing where it is silent."""
+    """Return what the EXIF of an image shows of its camera; nothing where it is silent."""
     with open_raster(image) as raster:
         size = int(raster.height), int(raster.width)
         tags = with_dataset(raster, exif_tags)

@@ -89,7 +89,7 @@ def shared_camera(photos: Sequence[FeatureSet], size: tuple[int, int],
     Raises
     ------
     TermselError
-        If no photo tells the camera.
+        If no photo shows the camera.
     """
     data = [FitData.of(replace(photo, image_size=size))
             for photo in map(without_independent, photos)

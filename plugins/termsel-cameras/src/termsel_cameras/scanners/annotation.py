@@ -148,7 +148,7 @@ def annotation_file(path: Path, swath: str = "", polarisation: str = "") -> Path
 
 
 def _geometry(path: Path) -> str:
-    """Return what tells the geometry of an annotation, whatever its polarisation."""
+    """Return what shows the geometry of an annotation, whatever its polarisation."""
     return replace(_read(path, changed(path)), source="", product="").text()
 
 

@@ -29,7 +29,7 @@ MAX_UNTELLING_POINTS = 2
 """Points of a radar that do not show their own error."""
 
 MIN_SCANNER_POINTS, MAX_SCANNER_POINTS = 3, 12
-"""Numbers of points for which it is: with more, those tell as much as the physics."""
+"""Numbers of points for which it is: with more, those show as much as the physics."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class NamedScanner(Method):
     def declines(self, control: FitData) -> str | None:
         """Return why no scanner is known, or the points are not for one.
 
-        A name that no sensor has is an error, which the run tells.
+        A name that no sensor has is an error, which the run shows.
         """
         features = control.features
         named = sensor_of(control)
@@ -96,7 +96,7 @@ class NamedRadar(Method):
     def declines(self, control: FitData) -> str | None:
         """Return why no annotation is named, or the points are not for one.
 
-        An annotation that cannot be read is an error, which the run tells.
+        An annotation that cannot be read is an error, which the run shows.
         """
         features = control.features
         named = sensor_of(control)

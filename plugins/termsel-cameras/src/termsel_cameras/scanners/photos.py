@@ -63,10 +63,10 @@ length."""
 
 RELIEF = 2e-3
 """Heights off a plane (root of the sum of squares) by the spread of the control, up to which they
-tell nothing: half of it, by the spread in the image, is as much as can be measured."""
+show nothing: half of it, by the spread in the image, is as much as can be measured."""
 
 MIN_PHOTO_POINTS, MAX_PHOTO_POINTS = 6, 20
-"""Numbers of points for which the candidates are: more tell as much as the physics."""
+"""Numbers of points for which the candidates are: more show as much as the physics."""
 
 AMISS = 2.0
 """Misfit of points and priors together, by what it is expected to be, beyond which a camera is not
@@ -100,7 +100,7 @@ class Photo(Physical):
     def starts(self, features: FeatureSet) -> FloatArray:
         """Return the values of terms from which a fit begins: those of an affine transformation."""
         slopes = self.slopes_of(features)
-        # How north is seen tells the turn; the area of a unit square tells the scale.
+        # How north is seen shows the turn; the area of a unit square shows the scale.
         turn = np.arctan2(slopes[1, 1], slopes[0, 1])
         starts = np.zeros((3, len(self.terms)))
         starts[:, self.terms.index("turn")] = turn / TURN
@@ -331,7 +331,7 @@ class FewOfPhoto(Method):
         if len(features.lines) or len(features.points) < MIN_PHOTO_POINTS:
             return (f"it is for {MIN_PHOTO_POINTS} to {MAX_PHOTO_POINTS} control points, without "
                     "lines")
-        # Without relief tilt and focal length are not told apart.
+        # Without relief tilt and focal length are not distinguished.
         if features.without_height():
             return "it needs heights"
         # Tilt and focal length would be guesses elsewhere.

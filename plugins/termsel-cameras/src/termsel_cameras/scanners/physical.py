@@ -288,7 +288,7 @@ class RobustFit(Estimator):
 
 
     def noise(self, fitted: Fit) -> float:
-        """Return the scaled standard deviation of a measurement, as the residuals tell it."""
+        """Return the scaled standard deviation of a measurement, as the residuals show it."""
         # Few points may fit by chance: no measurement is that good.
         return max(fitted.adjustment.sigma0, 0.3 * NOISE / fitted.scaling.image_scale)
 
@@ -297,7 +297,7 @@ class RobustFit(Estimator):
 class ShiftFit(RobustFit):
     """The robust fit of few shifts with priors, of one point already.
 
-    What residuals tell of the noise is joined with what is known of it: with one point they are
+    What residuals show of the noise is joined with what is known of it: with one point they are
     nearly nothing, whatever its error. To points that were computed from the camera's own metadata
     nothing is fitted.
     """
@@ -331,7 +331,7 @@ class ShiftFit(RobustFit):
     def noise(self, fitted: Fit) -> float:
         """Return the scaled noise of measurements by which normal intervals hold.
 
-        Its square is the mean of the squares that residuals tell and that are usual, weighed by
+        Its square is the mean of the squares that residuals show and that are usual, weighed by
         degrees of freedom. Where these are few the noise may be another: 90 % of errors are within
         Student's t times it. It is widened so that they are within the normal quantile.
         """

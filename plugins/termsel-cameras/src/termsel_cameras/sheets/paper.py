@@ -3,7 +3,7 @@
 An affine map takes the ground of a sheet, in the projection of the series, to its scan. Its matrix
 is exp(scale) S R: a rotation R by the turn, and a symmetric S of determinant 1 along the edges of
 the scan, by which paper shrinks more along the sheet than across. The four numbers of a sheet
-differ from those of others by chance; how much, the sheets with many points tell. What an affine
+differ from those of others by chance; how much, the sheets with many points show. What an affine
 map leaves is measurement and local deformation together.
 """
 
@@ -24,7 +24,7 @@ TURN = 1
 """Place of the turn among the four numbers: an angle."""
 
 MIN_POINTS_OF_PAPER = 4
-"""Points from which on a sheet tells its paper, and what an affine map leaves."""
+"""Points from which on a sheet shows its paper, and what an affine map leaves."""
 
 USUAL_SPREADS = np.array([0.003, 0.01, 0.003, 0.003])
 """Scales of the priors of the standard deviations among sheets, with long tails: paper shrinks by
@@ -42,7 +42,7 @@ LEAST_NOISE = 0.1
 
 @dataclass(frozen=True)
 class Sheet:
-    """What one sheet tells of the series.
+    """What one sheet shows of the series.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def values_of(matrix: FloatArray) -> FloatArray:
 
 
 def sheet_of(features: FeatureSet) -> Sheet | None:
-    """Return what a sheet tells, in its CRS of the fit; None of few points or a mirrored scan."""
+    """Return what a sheet shows, in its CRS of the fit; None of few points or a mirrored scan."""
     points = features.points
     count = len(points)
     if count < MIN_POINTS_OF_PAPER or len(features.lines):
@@ -171,7 +171,7 @@ def wrapped(angle: float) -> float:
 
 
 def paper_of(sheets: Sequence[Sheet]) -> Paper:
-    """Return what sheets tell of another one of their series.
+    """Return what sheets show of another one of their series.
 
     Each number is normal among sheets, with a standard deviation that is averaged over: a random
     effect (Gelman 2006, Bayesian Analysis 1(3), for the prior of its spread).
@@ -225,7 +225,7 @@ def usual_noise(sheets: Sequence[Sheet]) -> tuple[float, float]:
     """Return the noise of a series [px], and the degrees of freedom that it counts as.
 
     Variances of sheets are those of a scaled inverse chi-squared distribution, whose moments of the
-    logarithm tell both (Smyth 2004, Stat. Appl. Genet. Mol. Biol. 3(1), 3).
+    logarithm show both (Smyth 2004, Stat. Appl. Genet. Mol. Biol. 3(1), 3).
     """
     halves = np.array([sheet.freedom for sheet in sheets]) / 2.0
     logs = np.log([sheet.noise**2 for sheet in sheets]) - digamma(halves) + np.log(halves)

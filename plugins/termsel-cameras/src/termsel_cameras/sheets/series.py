@@ -38,7 +38,7 @@ from termsel_cameras.sheets.paper import (
 )
 
 COLUMN = "sheet_paper"
-"""Column of the points that says what other sheets of the series tell."""
+"""Column of the points that says what other sheets of the series show."""
 
 UNKNOWNS = 6
 """Of a sheet: the four of its paper, and its place."""
@@ -82,7 +82,7 @@ class SeriesSheet(Polynomial2D):
 
     References
     ----------
-    Lindley and Smith 1972, J. R. Stat. Soc. B 34(1), for the prior that others tell. What sheets
+    Lindley and Smith 1972, J. R. Stat. Soc. B 34(1), for the prior that others show. What sheets
     have in common is termsel's own formulation.
     """
 
@@ -96,7 +96,7 @@ class SeriesSheet(Polynomial2D):
 
     @cached_property
     def paper(self) -> Paper:
-        """What other sheets tell."""
+        """What other sheets show."""
         return paper_of_text(self.options["paper"])
 
 
@@ -116,7 +116,7 @@ class _Posterior:
 
 @dataclass(frozen=True)
 class BySeries(Estimator):
-    """The affine map of a sheet by its points, and by what others of the series tell."""
+    """The affine map of a sheet by its points, and by what others of the series show."""
 
     name = "series-sheet"
 
@@ -270,7 +270,7 @@ def _coefficients(values: FloatArray, middle: FloatArray, scaling: Scaling) -> F
 
 @dataclass(frozen=True, eq=False)
 class SheetOfSeries(Method):
-    """A sheet whose series tells what its paper is like."""
+    """A sheet whose series shows what its paper is like."""
 
     def declines(self, control: FitData) -> str | None:
         """Return why no series is known, or the sheet is none of it."""
@@ -321,7 +321,7 @@ def stated_paper(features: FeatureSet) -> str:
 
 
 def with_paper(features: FeatureSet, paper: Paper) -> FeatureSet:
-    """Return features with a column that says what the series tells."""
+    """Return features with a column that says what the series shows."""
     points = features.points
     columns: Mapping[str, Any] = {**points.attributes, COLUMN: np.array(
         [text_of(paper)] * len(points), dtype=object)}

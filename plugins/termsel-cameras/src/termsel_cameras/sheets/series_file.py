@@ -1,4 +1,4 @@
-"""The file of a series of sheets: its projection, and what each sheet tells of the paper."""
+"""The file of a series of sheets: its projection, and what each sheet shows of the paper."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Series:
     projection : str
         In which all sheets were drawn; "" where points have no CRS.
     sheets : tuple of Sheet
-        Those with points enough to tell the paper.
+        Those with points enough to show the paper.
     """
 
     projection: str
@@ -39,7 +39,7 @@ class Series:
                            "sheets": [asdict(sheet) for sheet in self.sheets]}, indent=1) + "\n"
 
     def paper_for(self, features: FeatureSet) -> Paper:
-        """Return what the others tell of a sheet: one with a point of this sheet is itself."""
+        """Return what the others show of a sheet: one with a point of this sheet is itself."""
         marks = set(marks_of(features))
         return paper_of([sheet for sheet in self.sheets if marks.isdisjoint(sheet.points)])
 
@@ -83,7 +83,7 @@ def _sheet(item: Any) -> Sheet:
 
 
 def in_series(features: FeatureSet, series: Series) -> FeatureSet:
-    """Return the points of a sheet with the projection and the paper that its series tells."""
+    """Return the points of a sheet with the projection and the paper that its series shows."""
     if series.projection:
         features = replace(features, fit_crs=series.projection)
     return with_paper(features, series.paper_for(features))

@@ -164,7 +164,7 @@ def _possible(path: Path, raster_header: Header,
 def _alike(default: Places, with_options: dict[str, tuple[tuple[str, ...], Places]],
            size: tuple[int, int]) -> str:
     """Return which of the transformations with options is the one without."""
-    # GDAL does not say which transformation it takes by default: its answers tell.
+    # GDAL does not say which transformation it takes by default: its answers show.
     image = _corners(size)
     flat = np.zeros(4)
     by_default = default(image, flat)

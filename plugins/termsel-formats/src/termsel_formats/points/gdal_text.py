@@ -95,7 +95,7 @@ def _stated_crs(text: str) -> list[str]:
 def _join_commands(path: Path) -> str:
     """Return the text of a script with each command on one line, and GCPs as -gcp has them."""
     text = read_text(path)
-    # Allmaps writes the numbers alone, which --format gdal-options tells.
+    # Allmaps writes the numbers alone, which --format gdal-options shows.
     rows = [line.split() for line in text.splitlines() if line.strip()]
     if rows and all(len(row) in (4, 5) and all(map(is_number, row)) for row in rows):
         return "\n".join(f"-gcp {' '.join(row)}" for row in rows)

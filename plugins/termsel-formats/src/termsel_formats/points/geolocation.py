@@ -134,7 +134,7 @@ class GeolocationArray(Reader):
             raise TermselError("no bands of this raster are called longitude and latitude",
                                file=path, hint=_HINT)
         step = self._pair("array_step", 1.0)
-        # With steps of its own an array does not tell the size of its image.
+        # With steps of its own an array does not show the size of its image.
         size = raster.shape if (step == 1.0).all() else None
         return Arrays(_bands(bands, path), raster.shape, self._pair("array_first", 0.0), step,
                       "", size)

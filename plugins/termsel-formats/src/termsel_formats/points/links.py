@@ -41,7 +41,7 @@ class ArcgisLinks(Reader):
     def sniff(self, path: Path, head: bytes) -> bool:
         """Return True for rows of numbers of which the second is negative, or that a title names.
 
-        Elsewhere the numbers do not tell which are of the image.
+        Elsewhere the numbers do not show which are of the image.
         """
         text = head.decode("utf-8-sig", "replace")
         complete = text.rpartition("\n")[0] if len(head) > 60000 else text
@@ -88,7 +88,7 @@ class ArcgisLinks(Reader):
             names["id"] = "number"
         table = Table(path, "", names, columns, lines)
         image = table.stack("line", "sample") * [-1.0, 1.0] - CORNER
-        # No header says so: the signs of the second column tell.
+        # No header says so: the signs of the second column show.
         log.info("Note: %s has no header. It is read as links of ArcGIS, X Source, Y Source, X "
                  "Map, Y Map, whose Y Source counts upwards; the first is at sample %.6g, line "
                  "%.6g, x %s, y %s.", path, image[0, 1], image[0, 0], columns["x"][0],

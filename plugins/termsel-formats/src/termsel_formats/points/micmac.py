@@ -150,7 +150,7 @@ def _numbers(path: Path, name: str, text: str | None, count: int) -> list[float]
 class MicmacXmlWriter(PointsWriter):
     """Control points without blunders as measures of MicMac, and NAME-S3D.xml with their places.
 
-    Independent check points are not among them: MicMac tells no control from check points.
+    Independent check points are not among them: MicMac distinguishes no control from check points.
     """
 
     name = "micmac-xml"

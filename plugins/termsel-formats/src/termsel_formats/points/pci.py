@@ -44,7 +44,7 @@ class PciGcp(Reader):
 
     def sniff(self, path: Path, head: bytes) -> bool:
         """Return True for lines of an id and four or five numbers in a file that ends in .gcp."""
-        # Rows of numbers alone could be anything: the ending has to tell.
+        # Rows of numbers alone could be anything: the ending has to show.
         if path.suffix.lower() != ".gcp":
             return False
         rows = [row for _, row in _rows(head.decode("utf-8", "replace").rpartition("\n")[0])]

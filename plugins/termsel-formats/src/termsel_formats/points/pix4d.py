@@ -148,7 +148,7 @@ def _rows(path: Path, widths: tuple[int, ...], form: str) -> list[tuple[int, lis
 class Pix4dMarksWriter(PointsWriter):
     """Control points as marks for Pix4D without blunders, and NAME_gcps.csv with their places.
 
-    Independent check points are left out, as the files do not tell them from control. Of
+    Independent check points are left out, as the files do not distinguish them from control. Of
     geographic coordinates the latitude comes first there, as Pix4D expects it.
     """
 
@@ -164,7 +164,7 @@ class Pix4dMarksWriter(PointsWriter):
     def write(self, result: Result, path: Path) -> None:
         """Write both files."""
         self.require(result, path)
-        # Nothing in these files tells a check point from control.
+        # Nothing in these files distinguishes a check point from control.
         checked = checked_points(result).without_checks()
         require_points(checked, path, self.needs)
         points = checked.points

@@ -27,7 +27,7 @@ _ENDINGS = (".tif", ".tiff", ".png", ".jpg", ".jpeg", ".jp2", ".bmp", ".gif", ".
 class WorldFile(Reader):
     """The affine map of a world file as five points: the corners of the image, and its middle.
 
-    The image must be next to it, with the same name, or be named; it tells how large it is.
+    The image must be next to it, with the same name, or be named; it shows how large it is.
     """
 
     name = "world-file"

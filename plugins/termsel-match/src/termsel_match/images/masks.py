@@ -249,7 +249,7 @@ def bands_of(raster: Any) -> Bands:
 
 
 def by_bands(picture: GreyRaster) -> tuple[Excluded, ...]:
-    """Return where an image shows clouds or water, as far as its bands tell.
+    """Return where an image shows clouds or water, as far as its bands show.
 
     Water is what a threshold of (green - infrared) / (green + infrared) divides from the rest, and
     clouds what one of the darkest visible band does; both by Otsu. Neither is taken for one unless

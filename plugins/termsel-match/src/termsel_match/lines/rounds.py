@@ -83,7 +83,7 @@ class Matched:
         The vector without which the image moves most.
     tracing : Tracing
         What errors of the vectors leave in the image. Where the start holds the image, or is a
-        model of points, which tell more, it is not told.
+        model of points, which show more, it is not told.
     """
 
     candidates: LineCandidates

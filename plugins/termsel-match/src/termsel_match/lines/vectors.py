@@ -26,7 +26,7 @@ SHORTEST, _LONGEST = 40.0, 150.0
 _VERTEX_STEP = 16.0
 # Of the image, around it, where vectors may be that it shows.
 _MARGIN = 0.5
-# Pieces; more would take time and tell next to nothing.
+# Pieces; more would take time and show next to nothing.
 MOST_PIECES = 400
 # Of the image along either side, and of pieces, from which they are.
 _IMAGE_CELLS, _PIECE_DIRECTIONS = 6, 4

@@ -98,7 +98,7 @@ def peak(surface: FloatArray) -> tuple[FloatArray, float, float]:
     """Return the place of the largest value from the middle [px], it, and the next largest."""
     top = np.array(np.unravel_index(int(surface.argmax()), surface.shape))
     best = float(surface[tuple(top)])
-    # The next largest value away from the best tells how clear that one is.
+    # The next largest value away from the best shows how clear that one is.
     low = np.maximum(top - _ALIKE_SHIFT, 0)
     rest_of_surface = surface.copy()
     rest_of_surface[low[0]:top[0] + _ALIKE_SHIFT + 1, low[1]:top[1] + _ALIKE_SHIFT + 1] = -np.inf

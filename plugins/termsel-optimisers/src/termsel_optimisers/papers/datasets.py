@@ -8,7 +8,7 @@ from termsel import DatasetSpec, simulate_scene
 from termsel.simulate import kept_features
 
 _INDEPENDENT = 100
-"""Points in addition to those of the papers, which tell the accuracy."""
+"""Points in addition to those of the papers, which show the accuracy."""
 
 _COUNTS = (
     ("ikonos-hamedan", 63, 31, "Valadan Zoej et al. 2002, table 1"),

@@ -91,7 +91,7 @@ class ScatterMatrix(TermRegression):
         """Return the F of a column, given the columns in use with it and without it (k,).
 
         Where these leave rounding alone it is 0, and where those do, infinite: differences of the
-        scatter matrix would tell neither.
+        scatter matrix would show neither.
         """
         if regression.explained(residual_square_of(regression, without)):
             return 0.0

@@ -3,7 +3,7 @@
 References
 ----------
 FGDC-STD-001-1998, Content Standard for Digital Geospatial Metadata. What it requires and a
-georeference does not tell is "Unknown", as the standard allows.
+georeference does not show is "Unknown", as the standard allows.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def fgdc_xml(report: Quality) -> str:
 
 
 def _bounds_and_use(west: str, east: str, south: str, north: str) -> list[Element]:
-    """Return what the standard requires of any data set, as far as a georeference tells it."""
+    """Return what the standard requires of any data set, as far as a georeference shows it."""
     return [_x("spdom", _x("bounding", _x("westbc", west), _x("eastbc", east),
                            _x("northbc", north), _x("southbc", south))),
             _x("keywords", _x("theme", _x("themekt", _NONE), _x("themekey", "imagery"))),

@@ -51,7 +51,7 @@ def by_halves(free: IntArray, below: BoolArray) -> IntArray:
     """Return columns of a quotient: half of each side, then the rest, the denominator's last.
 
     Models list terms of low degree first. Those of high degree in the denominator change little,
-    so that a bound soon closes them, whatever is in use. `below` (k,) tells columns of the
+    so that a bound soon closes them, whatever is in use. `below` (k,) shows columns of the
     denominator.
     """
     above = free[~below[free]]

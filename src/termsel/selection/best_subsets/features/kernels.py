@@ -190,7 +190,7 @@ def _open_selection(rows: FeatureRows, state: WalkState, space: EntrySpace, dept
         total += square
     if not further and pivot > 1e-6 and total > 4.0 * limit:
         return SCORED  # however wrong that is, it is not within the limit
-    # The inverse tells the condition, and all that is carried is made of it.
+    # The inverse shows the condition, and all that is carried is made of it.
     for p in range(len(rows.columns)):
         worst = max(worst, _invert(state.normal[depth, p], rows.columns[p], space.factor[p],
                                    space.inverse[p]))

@@ -97,7 +97,7 @@ class Proof:
         def rmse(cost: float) -> float:
             return float(subproblem.pixels * np.sqrt(max(cost, 0.0) / rows))
 
-        # Which it is the objective of the best selection tells.
+        # Which it is the objective of the best selection shows.
         total = sum(float(cost.min()) for cost in self._costs())
         for objective in (float, rmse):
             if abs(objective(total) - best) <= 1e-6 * abs(best):
@@ -283,7 +283,7 @@ def prove(problem: Problem, max_terms: int | None = None,
     """
     subproblems = problem.parts()
     limits = [limits_of(problem, subproblem, max_terms) for subproblem in subproblems]
-    # "rss" need not prove sizes that cost more than smaller ones: `_cost` tells it which.
+    # "rss" need not prove sizes that cost more than smaller ones: `_cost` shows it which.
     walks = [subsets.search(subproblem.system, subproblem.score, folds=subproblem.folds,
                             max_terms=largest, workers=workers or os.cpu_count() or 1,
                             cost=partial(_cost, subproblem=subproblem, fewest=fewest))
