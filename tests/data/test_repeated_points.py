@@ -47,7 +47,7 @@ def test_repeated_points_promise_no_accuracy_that_is_not_there() -> None:
     assert plain.final is not None
     np.testing.assert_allclose(repeated.final.adjustment.coefficients,
                                plain.final.adjustment.coefficients, rtol=1e-3, atol=1e-6)
-    assert any(note.startswith("Points too close to each other to tell anything apart")
+    assert any(note.startswith("Points too close to each other to be independent")
                and "and 55 more groups" in note for note in repeated.notes)
     assert not any("too close" in note for note in plain.notes)
 

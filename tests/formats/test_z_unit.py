@@ -105,7 +105,7 @@ def test_without_a_word_it_is_asked(tmp_path: Path, unit: float) -> None:
 
 @pytest.mark.parametrize("above", [0.0, -30.0, 30.0])
 @pytest.mark.parametrize(("unit", "words"), [
-    (US_FOOT, "z in US survey feet, as the DEM tells"), (1.0, "z in metres, as the DEM tells")])
+    (US_FOOT, "z in US survey feet, as the DEM says"), (1.0, "z in metres, as the DEM says")])
 def test_a_dem_tells_the_unit_whatever_its_datum(tmp_path: Path, unit: float, words: str,
                                                  above: float) -> None:
     features = termsel.read(table(tmp_path, unit), dem=surface(tmp_path, above))
@@ -114,7 +114,7 @@ def test_a_dem_tells_the_unit_whatever_its_datum(tmp_path: Path, unit: float, wo
 
 
 @pytest.mark.parametrize(("unit", "words"), [
-    (US_FOOT, "z in US survey feet, as the RPC tells"), (1.0, "z in metres, as the RPC tells")])
+    (US_FOOT, "z in US survey feet, as the RPC says"), (1.0, "z in metres, as the RPC says")])
 def test_an_rpc_tells_the_unit(tmp_path: Path, unit: float, words: str) -> None:
     vendor = tmp_path / "vendor.RPB"
     write_rpc(rpc(), vendor)

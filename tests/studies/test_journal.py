@@ -188,7 +188,7 @@ def test_a_second_process_is_refused_with_the_name_of_the_first(
     assert done.exit_code == 2
     assert f"process {os.getpid()} on " in done.stderr
     assert f"At work: process {os.getpid()} on " in status.stdout
-    assert "6 of 6 cells: 6 done" in status.stdout
+    assert "6 of 6 runs: 6 done" in status.stdout
     assert re.search(r"Worst so far: (random|ga), seed \d: 3\.\d+ px", status.stdout)
     assert "Nobody is at work" in call("compare", "--status", out).stdout
 
@@ -200,7 +200,7 @@ def test_cells_of_an_earlier_form_are_kept_aside(study: Path, call: Call, tmp_pa
     table = table_of(out)
     study.write_text(STUDY.replace("300", "200").replace("seeds = 8", "seeds = 2"))
     done = call("compare", study, "--out", out)
-    assert "keeps 6 finished cells of an earlier form of the study" in done.stderr
+    assert "keeps 6 finished runs of an earlier form of the study" in done.stderr
     assert len(termsel.read_study(out).records) == 4
     assert len(table_of(out)) == 4
     study.write_text(SHORT)

@@ -138,7 +138,7 @@ def test_python_takes_objects_and_features() -> None:
     (SMALL.replace("= 60", "= -1"), "line 6, column 1", "not positive"),
     (SMALL.replace("seeds = 2", 'seeds = "two"'), "line 4, column 1", "neither a whole number"),
     (SMALL.replace("seeds = 2", "seeds = 0"), "line 4, column 1", "0 seeds"),
-    (SMALL + "[options]\npopulaton = 3\n", "line 8, column 1", "no cell of the study has"),
+    (SMALL + "[options]\npopulaton = 3\n", "line 8, column 1", "no run of the study has"),
     (SMALL + '[[data]]\npoints = "none*.csv"\n', "line 8, column 1", "no file matches 'none*.csv'"),
     (SMALL.replace("seeds = 2", "seeds = = 2"), "line 4, column 9", "this is not TOML"),
     (SMALL.replace('"swap"', '"random"'), "line 3, column 22", "has 'random' twice"),
@@ -210,7 +210,7 @@ def test_a_dry_run_shows_cells_and_time(call: Call, tmp_path: Path) -> None:
     assert done.exit_code == 0
     lines = done.stdout.splitlines()
     assert [line.split()[-2] for line in lines[1:4]] == ["2", "2", "1"]
-    assert "5 cells; about" in lines[-1]
+    assert "5 runs; about" in lines[-1]
 
 
 def test_the_time_of_a_cell_is_that_without_compilation(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -363,7 +363,7 @@ def test_the_study_files_of_the_documentation_can_be_planned(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(("given", "says"), [
-    ({"seeds": 1000, "splits": 2000}, "has 2,000,000 cells, and can have 500,000"),
+    ({"seeds": 1000, "splits": 2000}, "has 2,000,000 runs, and can have 500,000"),
     ({"solvers": [{"name": "random", "label": f"r{i}"} for i in range(3000)]},
      "has 3,000 combinations of problems and methods, and can have 1,000")])
 def test_a_study_that_is_too_large_is_refused_before_it_is_planned(

@@ -198,7 +198,7 @@ def test_a_map_of_images_is_in_longitude_and_latitude(tmp_path: Path) -> None:
 
 def test_a_study_shows_itself_on_a_screen(images: Path) -> None:
     study = termsel.read_study(images)
-    assert repr(study).startswith("<Study of 3 cells: </script>")
+    assert repr(study).startswith("<Study of 3 runs: </script>")
     assert len(repr(study).splitlines()) <= 9
     assert "1 failed, 2 done" in repr(study)
     assert "<img" not in study._repr_html_()
@@ -223,7 +223,7 @@ def test_a_study_in_a_notebook_has_one_line(monkeypatch: pytest.MonkeyPatch) -> 
     termsel.compare(data={"one": scene(6, 0.1), "two": scene(7, 0.1)}, title="Scenes")
     assert len(lines) == 1
     assert lines[0][0] == "Scenes: ..."
-    assert lines[0][-1] == "Scenes: 2 of 2 cells, finished"
+    assert lines[0][-1] == "Scenes: 2 of 2 runs, finished"
 
 
 def test_a_chart_that_cannot_be_drawn_takes_no_table_along(

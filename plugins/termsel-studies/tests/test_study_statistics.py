@@ -234,7 +234,7 @@ def test_what_failed_is_counted_as_worst_and_what_waits_is_not_counted() -> None
     groups = group(rows, {"c": NO_RECORD})
     runs = groups.instances["p"]["ga"]
     assert runs.values == [1.0, np.inf, np.inf]
-    assert "Without a result, and counted as worst: 2 of 4 cells." in claims(groups, None, rows)
+    assert "Without a result, and counted as worst: 2 of 4 runs." in claims(groups, None, rows)
 
 
 def test_problems_with_models_of_their_own_are_compared_by_their_fitness() -> None:
@@ -270,7 +270,7 @@ def test_claims_say_what_the_tests_allow() -> None:
     assert "Splits of the same data are not independent" in said
     chance = rng.uniform(1, 2, (20, 3))
     said = " ".join(claims(_groups(chance), compare_methods(["m0", "m1", "m2"], chance), []))
-    assert "cannot be told apart" in said
+    assert "cannot be distinguished" in said
     assert "It may be claimed" not in said
     few = clear[:4]
     assert compare_methods(["m0", "m1", "m2"], few) is None

@@ -62,7 +62,7 @@ def share_bar(title: str, quiet: bool) -> Iterator[Callable[[float], None] | Non
 @contextmanager
 def study_bar(quiet: bool) -> Iterator[Callable[[StudyProgress], None] | None]:
     """Yield an observer that shows how far a study is, or None where nobody would see it."""
-    with _bar("cells", quiet, remaining=False) as renew:
+    with _bar("runs", quiet, remaining=False) as renew:
         def observe(progress: StudyProgress) -> None:
             worst = f"; worst {printable(progress.worst)}" if progress.worst else ""
             assert renew is not None

@@ -53,7 +53,7 @@ EXIT_FAILED = 1
               help="auto, as-asked or both. By default auto, unless models, solvers, criteria or "
                    "a budget are given.")
 @click.option("--set", "settings", metavar="KEY=VALUE", multiple=True,
-              help="An option for every cell that has it; may be repeated.")
+              help="An option for every run that has it; may be repeated.")
 @click.option("--seeds", type=Whole(1, MOST_RUNS), help="Seeds 1 to N.")
 @click.option("--splits", type=Whole(1, MOST_RUNS),
               help="Draws of control, check and independent points, for points without a role.")
@@ -65,7 +65,7 @@ EXIT_FAILED = 1
 @click.option("--seconds", type=click.FloatRange(0, 1e9, min_open=True),
               help="Stop each search after S seconds.")
 @click.option("--timeout", type=click.FloatRange(0, 1e9, min_open=True),
-              help="A cell that takes longer than S seconds fails.")
+              help="A run that takes longer than S seconds fails.")
 @click.option("--export", "exports", metavar="FORMAT", multiple=True,
               shell_complete=complete("writers"),
               help="With the strategy auto, export each image's model; may be repeated.")
@@ -81,9 +81,9 @@ EXIT_FAILED = 1
 @click.option("--workers", type=Whole(1, 1024), default=1, show_default=True,
               help="Processes at a time on this machine.")
 @click.option("--scheduler", metavar="ADDRESS",
-              help="Dask scheduler whose workers run the cells, such as tcp://host:8786.")
+              help="Dask scheduler that does the runs, such as tcp://host:8786.")
 @click.option("--dry-run", is_flag=True,
-              help="Show the cells, and the time they take by one cell of each kind.")
+              help="Show the runs, and the time they take by one of each kind.")
 @click.option("--status", metavar="DIR", type=click.Path(path_type=Path),
               help="Show how far the study of a folder is.")
 @click.option("--quiet", is_flag=True, help="No progress bar.")
@@ -225,7 +225,7 @@ def _show_status(folder: Path) -> None:
     from termsel.studies.cells.folder import status
 
     progress, holder = status(folder)
-    echo(f"{progress.finished} of {counted(progress.total, 'cell')}: {progress.text()}.")
+    echo(f"{progress.finished} of {counted(progress.total, 'run')}: {progress.text()}.")
     if progress.finished < progress.total:
         echo(f"{progress.time_left()[0].upper()}{progress.time_left()[1:]}.")
     if progress.worst:
@@ -274,9 +274,9 @@ def _show_plan(study: Path | None, keys: dict[str, Any], workers: int) -> None:
         rows.append((*kind, str(number), "-" if seconds is None else f"{seconds:.2f}", reason))
         total += (seconds or 0.0) * number
         cells += number
-    print_table(("problem", "strategy", "model", "criterion", "solver", "cells", "s each", ""),
+    print_table(("problem", "strategy", "model", "criterion", "solver", "runs", "s each", ""),
                 rows)
-    echo(f"\n{counted(cells, 'cell')}; about {duration(total / workers)} with "
+    echo(f"\n{counted(cells, 'run')}; about {duration(total / workers)} with "
          f"{counted(workers, 'worker')}.")
     if workers == 1 and total > 60:
         echo("--workers N runs N of them at a time.")

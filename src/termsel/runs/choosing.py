@@ -399,7 +399,7 @@ def _notes(model: SensorModel, observations: Observations, errors: FloatArray | 
     elif observations.lattice is not None:
         pass  # another note says what its points show
     elif determined:
-        mirrored = " They do not tell either whether the image is mirrored." \
+        mirrored = " Nor do they show whether the image is mirrored." \
             if len(features) == 2 else ""
         exactly = determined_exactly(len(features), features.word.removesuffix("s"))
         notes.append(f"{exactly}, so its accuracy is not known.{mirrored}")

@@ -213,7 +213,7 @@ def _note_on_contradictions(pool: FitData, suspects: Suspects) -> Iterator[str]:
     if agreeing is None or (~agreeing <= suspects.blunders).all():
         return
     yield (f"The points contradict one another: {int(agreeing.sum())} of {len(pool)} agree, and "
-           "all are too few to tell which are wrong. Look at "
+           "all are too few to show which are wrong. Look at "
            f"{', '.join(select(pool.features.ids, ~agreeing))} in the image.")
 
 

@@ -114,7 +114,7 @@ def compare(
         title = spec.title or "Study"
         show = stack.enter_context(line_of_many(title))
         observers = (*observers, lambda progress: show(
-            f"{title}: {progress.finished} of {counted(progress.total, 'cell')}, "
+            f"{title}: {progress.finished} of {counted(progress.total, 'run')}, "
             f"{progress.time_left()}", progress.finished == progress.total))
         for remark in journal.remarks:
             log.warning(remark)
@@ -122,11 +122,11 @@ def compare(
         changed = {key for cell in cells if cell.key not in finished
                    and (key := before.get(tuple(cell.labels.values()))) in journal.records}
         if changed:
-            log.warning("%s run again, as data, options, budget or code changed since.",
-                        counted(len(changed), "finished cell"))
+            log.warning("%s repeated, as data, options, budget or code changed since.",
+                        counted(len(changed), "finished run"))
         if foreign := len(journal.records) - len(finished):
             log.warning("The journal keeps %s of an earlier form of the study without using %s.",
-                        counted(foreign, "finished cell"), "it" if foreign == 1 else "them")
+                        counted(foreign, "finished run"), "it" if foreign == 1 else "them")
         for observe in observers:
             observe(tally.progress())
         waiting = [cell for cell in cells if cell.key not in finished]
@@ -148,7 +148,7 @@ def compare(
 LONG_CELL_SECONDS = 20.0
 """Seconds from which on a cell is not run again to learn its time."""
 
-FINISHING = "The cells under way are being finished. Ctrl-C once more ends at once."
+FINISHING = "The runs under way are being finished. Ctrl-C once more ends at once."
 
 
 def asked(study: Path | str | Mapping[str, Any] | None, keys: Mapping[str, Any]

@@ -81,8 +81,8 @@ class Study(Glance):
 
     @property
     def noun(self) -> str:
-        """What the rows are called: an image of a batch, or a cell of a study of searches."""
-        return "image" if self.spec.strategies == ("auto",) else "cell"
+        """What the rows are called: an image of a batch, or a run of a study of searches."""
+        return "image" if self.spec.strategies == ("auto",) else "run"
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -133,7 +133,7 @@ class Study(Glance):
         # Each data set once, in the order of the cells.
         data = list(dict.fromkeys(str(cell["data"]) for cell in self.cells.values()))
         states = Counter(row["state"] for row in self.rows)
-        return f"Study of {counted(len(self.cells), 'cell')}: {spec.title or 'no title'}", {
+        return f"Study of {counted(len(self.cells), 'run')}: {spec.title or 'no title'}", {
             "state": ", ".join(f"{n} {state}" for state, n in states.items()) or "empty",
             "data": f"{len(data)}: {', '.join(data)}", **named,
             "strategies": ", ".join(spec.strategies),

@@ -91,7 +91,7 @@ def _say_paper(series: Series) -> None:
     from termsel_cameras.sheets.paper import paper_of
 
     if not series.sheets:
-        echo("No sheet has the 4 points that tell what the paper is like.")
+        echo("No sheet has the 4 points that an estimate of its paper requires.")
         return
     paper = paper_of(series.sheets)
     scale, turn, stretch, shear = paper.spreads

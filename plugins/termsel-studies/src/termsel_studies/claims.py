@@ -33,7 +33,7 @@ def claims(groups: Groups, comparison: Comparison | None, rows: list[Row]) -> li
     sentences = [f"Compared by {measure}; lower is better."]
     if len(groups.methods) < 2:
         sentences.append("There is one method, so nothing is compared." if groups.methods else
-                         "No cell is finished, so nothing is compared.")
+                         "No run is finished, so nothing is compared.")
     elif comparison is None:
         sentences += _claim_of_single(groups)
     else:
@@ -45,7 +45,7 @@ def claims(groups: Groups, comparison: Comparison | None, rows: list[Row]) -> li
     failed = sum(row["state"] not in ("done", "waiting") for row in rows)
     if failed:
         sentences.append(f"Without a result, and counted as worst: {failed} of "
-                         f"{counted(len(rows), 'cell')}.")
+                         f"{counted(len(rows), 'run')}.")
     if groups.measure == "fitness":
         sentences.append("The fitness chose the selections, so it is not the accuracy: compare the "
                          "RMSE at independent check points (ICP).")
@@ -111,7 +111,7 @@ def _over_instances(comparison: Comparison) -> list[str]:
     """Return what may be claimed over all instances, by tests that are corrected."""
     sentences = []
     if comparison.p is not None:
-        verdict = "differ" if comparison.p < SIGNIFICANCE else "cannot be told apart"
+        verdict = "differ" if comparison.p < SIGNIFICANCE else "cannot be distinguished"
         sentences.append(f"Over {comparison.instances} instances the methods {verdict} (Friedman, "
                          f"p = {comparison.p:.2g}).")
     # Pairs are only looked at where the methods as a whole differ: Friedman's test comes first.

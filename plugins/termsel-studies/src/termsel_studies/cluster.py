@@ -62,7 +62,7 @@ def on_cluster(cells: Sequence[Cell], features: Mapping[str, FeatureSet], stop: 
         fruitless = fruitless + 1 if len(waiting) == before else 0
         if fruitless == _MOST_LOSSES:
             raise TermselError(f"the scheduler {address} was lost {fruitless} times in a row",
-                               hint="Look at its log. The finished cells are kept.")
+                               hint="Look at its log. The finished runs are kept.")
 
 
 def _connect(address: str) -> Client:
@@ -87,7 +87,7 @@ def _connect(address: str) -> Client:
                 raise TermselError(
                     f"the scheduler {address} does not answer or has no workers",
                     hint="Start it with `dask scheduler` and `dask worker ADDRESS`. The finished "
-                         "cells are kept.") from error
+                         "runs are kept.") from error
             if not has_warned:
                 log.warning("Waiting for the scheduler %s and its workers.", address)
                 has_warned = True

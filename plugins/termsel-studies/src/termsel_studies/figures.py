@@ -180,7 +180,7 @@ def critical_differences(comparison: Comparison) -> Figure:
             x=axis, x2="to:Q", y=row))
     drawn = alt.layer(*layers).properties(width=WIDTH, height=24 * (len(points) + len(bars) + 1))
     return Figure("critical-difference", f"Mean ranks over {comparison.instances} instances",
-                  "Blue bars join methods that Nemenyi's test cannot tell apart: their ranks "
+                  "Blue bars join methods that Nemenyi's test cannot distinguish: their ranks "
                   f"differ by less than {comparison.difference:.2f}.", drawn)
 
 

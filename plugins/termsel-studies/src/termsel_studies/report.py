@@ -61,7 +61,7 @@ def _document(study: Study, charts: list[Figure], pictures: dict[str, str], *,
         Section("Charts", tuple(charts)))
     only_images = study.spec.strategies == ("auto",)
     done = len(study.records)
-    number = counted(len(study.cells), "image" if only_images else "cell")
+    number = counted(len(study.cells), "image" if only_images else "run")
     return Document(study.spec.title or "Study",
                     # A table or section without content is left out.
                     number if study.complete else f"{done} of {number} finished", (),

@@ -83,7 +83,7 @@ def cells_of(spec: Spec, data: list[Data]) -> list[Cell]:
                                 'Add roles = "random" to [options], or leave splits out.')
     # The key is of all that the result depends on: equal keys are one cell.
     if len({cell.key for cell in cells}) < len(cells):
-        raise TermselError("two cells of the study are the same",
+        raise TermselError("two runs of the study are the same",
                            hint="Remove the problem, model or solver that is named twice.")
     return cells
 
@@ -99,7 +99,7 @@ def _require_few(spec: Spec, data: int) -> None:
     kinds = problems * (methods * searched + alone)
     cells = problems * data * len(spec.splits) * (methods * searched * len(spec.seeds) + alone)
     for number, limit, plural in ((kinds, MOST_KINDS, "combinations of problems and methods"),
-                                  (cells, MOST_CELLS, "cells")):
+                                  (cells, MOST_CELLS, "runs")):
         if number > limit:
             raise TermselError(f"the study has {number:,} {plural}, and can have {limit:,}",
                                hint="Divide it into several studies.")
@@ -195,7 +195,7 @@ class _Kinds:
         for key in self._spec.options:
             if key not in self._used and self._known:
                 raise self._spec.places.error(
-                    ("options", key), f"no cell of the study has the option {key!r}",
+                    ("options", key), f"no run of the study has the option {key!r}",
                     "`termsel describe NAME` lists the options of a problem, model or solver.")
 
     def _check_kind(self, strategy: str, specs: Mapping[str, PartSpec | None],
@@ -331,8 +331,8 @@ class _Kinds:
 def _without_certificate(request: Request) -> Request:
     """Refuse a certificate: it is a file of the folder of a result, which cells have not."""
     if request.solver.options.get("certificate"):
-        raise TermselError("cells of a study keep no certificates",
-                           hint="Run the cell alone: termsel run ... --out DIR.",
+        raise TermselError("runs of a study keep no certificates",
+                           hint="Do the run alone: termsel run ... --out DIR.",
                            name="certificate")
     return request
 

@@ -168,7 +168,7 @@ class Journal:
     def _unwritable(self, error: OSError) -> TermselError:
         return TermselError(
             f"cannot write the journal: {error.strerror or error}", file=self.path,
-            hint=f"{counted(len(self.records), 'finished cell')} are kept. Make space, then repeat "
+            hint=f"{counted(len(self.records), 'finished run')} are kept. Make space, then repeat "
                  "the command to go on.")
 
 
@@ -211,7 +211,7 @@ def read_journal(folder: Path) -> Journal:
     if damaged:
         journal.remarks.append(
             f"{journal.path} is damaged in {counted(len(damaged), 'line')}, the first of them "
-            f"line {damaged[0]}. Those cells run again.")
+            f"line {damaged[0]}. Those runs are repeated.")
     if content and not (journal.versions or journal.records) and not _torn_at_once(lines):
         raise TermselError("this is not the journal of a study", file=journal.path,
                            hint="Choose another --out.")

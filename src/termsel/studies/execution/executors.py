@@ -26,7 +26,7 @@ Stop = Callable[[], bool]
 AHEAD = 2
 """Cells given to each worker at a time, so that none waits for the next one."""
 
-DIED = "the process that ran this cell ended: out of memory, killed, or a fault of compiled code"
+DIED = "the process of this run ended: out of memory, killed, or a fault of compiled code"
 
 
 @contextmanager

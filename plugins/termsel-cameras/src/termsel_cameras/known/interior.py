@@ -212,7 +212,7 @@ def _pixel(stated: Mapping[str, str], named: SurveyCamera | None,
         return _positive(pixel, "camera_pixel") / 1e3, 0.003
     if named is None or size is None:
         lacks = "the size of a pixel" if named is None else "the size of the image"
-        raise TermselError(f"a focal length in mm does not tell that in px without {lacks}",
+        raise TermselError(f"a focal length in mm does not give that in px without {lacks}",
                            hint="State camera_pixel in um, or the image: --image FILE.")
     # A photo that was turned for display is as wide as its camera is high.
     lengths = sorted((named.width, named.height))

@@ -48,8 +48,8 @@ def tried_projections(sheets: Sequence[FeatureSet],
     used_sheets = [without_independent(sheet) for sheet in sheets]
     used_sheets = [sheet for sheet in used_sheets if len(sheet.points) >= MIN_POINTS_OF_SHEET]
     if not used_sheets:
-        raise TermselError(f"no map has the {MIN_POINTS_OF_SHEET} points that tell projections "
-                           "apart",
+        raise TermselError(f"no map has the {MIN_POINTS_OF_SHEET} points that a choice of its "
+                           "projection requires",
                            hint="Measure more points, or state the projection.")
     counts = [len(sheet.points) for sheet in used_sheets]
     ranked = []

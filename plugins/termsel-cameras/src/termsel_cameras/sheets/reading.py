@@ -33,7 +33,7 @@ OPTIONS = (
     Option("prime_meridian", None, "Meridian that longitudes of the points count from: "
            f"{', '.join(MERIDIANS)}, or degrees from Greenwich."),
     Option("series", None, "File of the series that a map is a sheet of, by termsel map-series: "
-           "its projection is taken, and a sheet of few points borrows what the others tell of the "
+           "its projection is taken, and a sheet of few points borrows what the others show of the "
            "paper."),
     Option("projection", None, "Projection that a map was drawn in, in which its model is fitted: "
            "a CRS, or auto for the one that predicts the points best."),
@@ -149,7 +149,7 @@ def places_of_sheets(sheets: list[FeatureSet]) -> FloatArray:
         vertices.append(to_wgs84(sheet.crs)(ground)[:, :2])
     degrees = np.concatenate(vertices)
     if not len(degrees):
-        raise TermselError("no map has control points, which tell what projections to try",
+        raise TermselError("no map has control points, which show what projections to try",
                            hint="Measure control points, or state the projection.")
     # Less than half a turn from the first.
     first = degrees[0, 0]

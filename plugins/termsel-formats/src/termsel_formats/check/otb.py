@@ -59,6 +59,6 @@ def taken(path: Path, raster_header: Header) -> Taken | None:
     if np.allclose(origin, 0.5) and np.allclose(np.abs(spacing), 1.0):
         return Taken(name, "none reported by its applications")
     if raster_header.geotransform and any(raster_header.geotransform[i] for i in (2, 4)):
-        return Taken(name, "affine transformation, whose turn it does not tell")
+        return Taken(name, "affine transformation, whose rotation it does not state")
     return Taken(name, "origin and spacing", raster_header.crs,
                  lambda image, _heights: origin + spacing * image[:, ::-1])

@@ -47,7 +47,7 @@ _HEADER = re.compile(rb"\s*(image|file|photo)\s*_?(name)?\s*,[^\d\r\n]*$", re.IG
 _LATITUDE = ("lat", "latitude", "y", "northing", "north")
 _LATITUDE_FIRST = Option(
     "latitude_first", None, "Whether the second column of the ground file is a latitude, or a "
-                            "northing; by default its header tells, and without one it is not.",
+                            "northing; by default its header says so, and without one it is not.",
     bool)
 
 

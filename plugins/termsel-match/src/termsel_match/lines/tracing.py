@@ -36,8 +36,8 @@ class Tracing:
 
     def text(self) -> str:
         """Return what a user must know of it."""
-        remaining = ("cannot be told by so few pieces of vectors." if np.isnan(self.sigma) else
-                     f"{self.sigma:.2f} px.")
+        remaining = ("cannot be estimated from so few pieces of vectors."
+                     if np.isnan(self.sigma) else f"{self.sigma:.2f} px.")
         if self.vectors < MIN_VECTORS and not np.isnan(self.sigma):
             remaining = (f"{self.sigma:.2f} px, apart from errors that a whole vector has. Fewer "
                          f"than {MIN_VECTORS} vectors do not show those.")
