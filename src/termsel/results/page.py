@@ -33,7 +33,7 @@ from termsel.results.library import library
 from termsel.results.pictures import drawable
 from termsel.results.theme import dark_style, styled
 
-MOST_COLUMNS = 8
+MOST_COLUMNS = 7
 """Of a table on a narrow screen; one with more has its cells one below the other there."""
 
 
@@ -157,7 +157,7 @@ def _table(table: TableBlock) -> str:
     choice = f' data-choice="{_text(table.choice)}"' if table.choice else ""
     # On a narrow screen text beside numbers, or many columns, would leave it.
     is_listed = bool(table.pictures or ' class="words"' in classes
-                     or len(classes) > MOST_COLUMNS)
+                     or sum(column != ' class="beyond"' for column in classes) > MOST_COLUMNS)
     listed = ' class="listed"' if is_listed else ""
     rows = [_row(table, i, classes, is_listed) for i in range(len(table.rows))]
     caption = _text(table.caption)

@@ -83,9 +83,8 @@ def tables_of(study: Study, *, brief: bool = False) -> tuple[list[TableBlock], l
 def _images(rows: list[Row]) -> TableBlock:
     """Return one row an image, in the order of the study's rows; see `remarks_of` for the rest."""
     usual = usual_notes(rows)
-    without = any(row["without_height"] for row in rows)
-    header = ["image", "verdict", "reason", "model", "RMSE [px]", "RMSE [m]", "ICP RMSE [px]",
-              "blunders", *(["without height"] if without else []), "place", "notes"]
+    header = ("image", "verdict", "reason", "model", "RMSE [px]", "RMSE [m]", "ICP RMSE [px]",
+              "blunders", "without height", "place", "notes")
     lines = []
     for row in rows:
         model = label_of(row["chosen"]) if row["chosen"] else row["state"]
@@ -93,9 +92,12 @@ def _images(rows: list[Row]) -> TableBlock:
                       model, predicted_rmse(row), metres(row),
                       independent_rmse(row),
                       ", ".join(row["blunders"] or ()),
-                      *([str(row["without_height"] or "")] if without else []),
-                      row["place"] or "", own_notes(row, usual)))
-    return TableBlock(count_of_verdicts(rows), tuple(header), lines,
+                      str(row["without_height"] or ""), row["place"] or "",
+                      own_notes(row, usual)))
+    # A column that is empty for all images would only make the others narrow.
+    shown = [i for i in range(len(header)) if any(line[i] for line in lines)]
+    return TableBlock(count_of_verdicts(rows), tuple(header[i] for i in shown),
+                      [tuple(line[i] for i in shown) for line in lines],
                       keys=[row["cell"] for row in rows])
 
 
