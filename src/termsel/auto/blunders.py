@@ -10,7 +10,7 @@ again once the features in use predict it. Where more than a third of many point
 that a majority agrees on come first (see `termsel.auto.majority`).
 
 A prediction far from the other features rests on the form of the model, and a blunder there looks
-like a bend of the image. No test tells them apart, and only an error that is large even against the
+like a bend of the image. No test shows them apart, and only an error that is large even against the
 variance that its place gives is named by one. Of points, what is likelier is told all the same: as
 a blunder or as a right point, under all polynomials and random fields that the others support.
 Points that are likelier blunders are left out. Others with such an error stay in use, and are named
@@ -178,7 +178,7 @@ def _grow_majority(control: FitData, agreeing: BoolArray) -> tuple[BoolArray, Te
     while used.tobytes() not in earlier_sets:
         earlier_sets.add(used.tobytes())
         test = Division(control, used).shrunken_test()
-        # The majority has all that agree, not the closest ones: it tells the noise as it is.
+        # The majority has all that agree, not the closest ones: it shows the noise as it is.
         if test is None or test.noise > NOISE_JUMP * least_noise:
             break
         settled = used, test
@@ -245,7 +245,7 @@ def _points_a_model_explains(control: FitData, auto: Auto, suspected: BoolArray)
     """Return which suspected points a parametric model of all other points predicts.
 
     Polynomials and random fields follow an oblique view badly: what bends there is the image. A
-    view that was fitted without the suspected points and predicts them tells that they are right.
+    view that was fitted without the suspected points and predicts them shows that they are right.
     """
     cleared = np.zeros(len(control), dtype=bool)
     # Each cleared point helps the model, which may then clear further ones.
@@ -320,7 +320,7 @@ def judge_others(chosen: Fit, heights: bool, other_points: Points,
     all_features = FitData.of(control.with_(points=control.points.join(other_points)), heights)
     is_other = np.zeros(len(all_features), dtype=bool)
     is_other[count:count + len(other_points)] = True
-    # Where control is scarce, the others tell more than it does. They begin with those it predicts.
+    # Where control is scarce, the others show more than it does. They begin with those it predicts.
     used = ~is_other | _features_predicted_by(chosen, all_features.features)
     return memory.recall((is_other.tobytes(), used.tobytes()), all_features,
                          lambda: _contradicting_features(all_features, is_other, used))

@@ -144,7 +144,7 @@ def _describe_problem(entry: Entry) -> None:
 
 
 def _options_of_prepared_problem(recipe: Recipe) -> list[Option]:
-    """Return the options that the problem of a recipe has by what it is, as its data tell."""
+    """Return the options that the problem of a recipe has by what it is, as its data show."""
     from termsel.runs.task import prepare
     from termsel.selection.problems.recipes import options_of, undeclared_options
 

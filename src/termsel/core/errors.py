@@ -127,7 +127,7 @@ MOST_NAMED = 40
 """Names a message lists before it stops."""
 
 _ALIKE = 3
-"""Letters at the beginning that tell a name where no other begins with them."""
+"""Letters at the beginning that show a name where no other begins with them."""
 
 MOST_BESIDE_NEAR = 25
 """Names a message lists next to the nearest: of more, the nearest stands alone."""

@@ -23,7 +23,7 @@ def warn_of_map(features: FeatureSet, image: Path | str) -> None:
     """Warn of an image whose own georeferencing shows features far from where they were measured.
 
     A map, rectified before, is easily taken for the image it was made from: it may hold all
-    measured positions, and nothing else would tell.
+    measured positions, and nothing else would show.
     """
     with open_raster(image) as raster:
         transform = raster.transform

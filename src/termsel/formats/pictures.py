@@ -114,7 +114,7 @@ def picture_of(image: Path) -> Picture:
 
 
 def _band_descriptions(raster: Any) -> Sequence[ElementTree.Element]:
-    """Return what GDAL says of each band in a VRT: rasterio does not tell names of categories."""
+    """Return what GDAL says of each band in a VRT: rasterio does not show names of categories."""
     # The copy must be made where the dataset is open, in the other process.
     text = with_dataset(raster, _text_of_vrt)
     return ElementTree.fromstring(_CONTROL.sub("", text)).findall("VRTRasterBand")
@@ -138,7 +138,7 @@ def _band(raster: Any, number: int, element: ElementTree.Element, thematic: bool
 
     table = _used_colours(element.findall("ColorTable/Entry"))
     names = tuple(name.text or "" for name in element.findall("CategoryNames/Category"))
-    # An image of one bit has the type Byte; only this tag tells.
+    # An image of one bit has the type Byte; only this tag shows.
     bits = raster.tags(number, ns="IMAGE_STRUCTURE").get("NBITS", "")
     classes = thematic or any(names) or raster.tags(number).get("LAYER_TYPE") == "thematic"
     return Band(

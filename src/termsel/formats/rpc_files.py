@@ -377,7 +377,7 @@ def _rpc_from_xml(path: Path, name: str) -> Rpc:
     except ElementTree.ParseError as error:
         raise TermselError(f"this XML cannot be read: {error}", file=path,
                            line=error.position[0], hint=_INCOMPLETE) from error
-    # Vendors have their own trees; the rest of the forms has names that tell.
+    # Vendors have their own trees; the rest of the forms has names that show.
     if root.tag == "Dimap_Document":
         return _rpc_from_dimap(root)
     if of_bands := rpcs_of_xml(root):

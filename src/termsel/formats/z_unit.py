@@ -64,9 +64,9 @@ def with_z_unit(features: FeatureSet, stated: str | None, dem: Path | None = Non
     in_feet = str(unit_of_plane(features.crs))
     units = (in_feet, METRE)
     if dem is not None and (unit := _unit_by_dem(features, units, dem)):
-        return _in_unit(features, unit, "as the DEM tells")
+        return _in_unit(features, unit, "as the DEM says")
     if features.rpc is not None and (unit := _unit_by_rpc(features, units, features.rpc)):
-        return _in_unit(features, unit, "as the RPC tells")
+        return _in_unit(features, unit, "as the RPC says")
     raise TermselError(
         f"z may be in {WORDS[in_feet]}, as x and y in {short(features.crs)} are, or in metres",
         hint=f"State it: --set z_unit={in_feet} or --set z_unit={METRE}.")

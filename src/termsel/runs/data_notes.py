@@ -33,7 +33,7 @@ from termsel.runs.request import note_on_blank
 # 0.6; so it takes a far smaller rest, in both groups, before anything is said.
 
 LEAST, LEAST_OF_GROUP = 12, 4
-"""Points that can tell it, and those of the smaller group."""
+"""Points that can show it, and those of the smaller group."""
 _REST = 0.25
 """Largest part of the RMSE that is left with two groups."""
 _APART = 6.0
@@ -253,7 +253,7 @@ def _note_on_one_line(features: FeatureSet) -> Iterator[str]:
         ("in the image", features.image_vertices()), ("on the ground", _plan_coordinates(features)))
         if _is_narrow(positions))
     if views:
-        yield (f"All {features.word} lie close to one straight line {views}. Nothing tells what "
+        yield (f"All {features.word} lie close to one straight line {views}. Nothing shows what "
                "the model does away from it: measure points there.")
 
 
@@ -277,15 +277,15 @@ def _is_narrow(positions: FloatArray) -> bool:
 def _note_on_carriers(features: FeatureSet, carrying: tuple[str, ...]) -> Iterator[str]:
     """Yield which features heights rest on, where they are one or two."""
     if len(carrying) == 1 and len(features) < SOME:
-        yield (f"With {len(features)} {features.word} nothing tells what a height does from an "
-               "error, so the model is plane.")
+        yield (f"With {len(features)} {features.word} nothing distinguishes what a height does "
+               "from an error, so the model is plane.")
     elif carrying:
         yield (f"All heights but that of {' and that of '.join(carrying)} lie on a plane. What a "
-               "height does cannot be told from an error there, so the model is plane.")
+               "height does cannot be distinguished from an error there, so the model is plane.")
 
 
 def _note_on_flat(control: FitData, points: Points) -> Iterator[str]:
-    """Yield that heights tell nothing, and what they may do at other points."""
+    """Yield that heights show nothing, and what they may do at other points."""
     vertices = control.features.ground_vertices()
     carrying = carriers(control)
     # Heights without those of the one or two features that make all the relief.
@@ -298,7 +298,7 @@ def _note_on_flat(control: FitData, points: Points) -> Iterator[str]:
                "them blank or take them from a raster (--dem FILE).")
     else:
         yield (f"The heights of the {control.features.word} differ too little from a plane to "
-               "tell what a height does, so they were not used.")
+               "show what a height does, so they were not used.")
     unit = height_unit(control.features.crs)
     above, does = off_plane(control, vertices[:1] + np.array([0.0, 0.0, HIGH / unit]))
     # How far an error of height moves the image, by the obliqueness of usual views.
@@ -324,10 +324,10 @@ def _rounded(size: float) -> str:
 
 def _note_on_twins(points: Points, independent: Points) -> Iterator[str]:
     """Yield what is to be said of points that repeat each other."""
-    # Too close to tell anything apart: they are held out together.
+    # Too close to show anything apart: they are held out together.
     close_points = groups(points.ids, twins(points.ground))
     if close_points:
-        yield (f"Points too close to each other to tell anything apart share a role and a fold: "
+        yield (f"Points too close to each other to be independent share a role and a fold: "
                f"{_list_in_words(close_points)}.")
     all_points = points.join_unchecked(independent)
     independent_ids = set(independent.ids)

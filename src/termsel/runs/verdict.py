@@ -32,10 +32,10 @@ from termsel.fitting.method import Suspects
 #
 # Seen from above, a plane keeps the turning of all triangles of its points, or reverses all of them
 # in a mirrored image; so does any view of it whose points lie in front of the camera. Few points
-# tell no blunder by their errors, but single triangles that are reversed do.
+# show no blunder by their errors, but single triangles that are reversed do.
 
 MIN_EXCHANGED_POINTS, MAX_EXCHANGED_POINTS = 4, 12
-"""Numbers of points that are looked at: of more, errors tell."""
+"""Numbers of points that are looked at: of more, errors show."""
 
 THIN = 0.05
 """Height of a triangle, by the extent of all points, up to which it may be reversed by errors."""
@@ -178,7 +178,7 @@ def judge_features(observations: Observations, auto: Auto,
     carriers = observations.carriers
     if auto.fewest(observations.pool) == 1:
         carriers = ()  # what is known of the image says what heights do
-    # Relief that rests on one or two features cannot be told from their errors.
+    # Relief that rests on one or two features cannot be distinguished from their errors.
     high = with_twins(points, carriers).union(carriers)
     # Where no plane is determined without them, they are judged like others.
     if off_plane_outliers := _held_against_others(observations, roles, high):
@@ -193,7 +193,7 @@ def judge_features(observations: Observations, auto: Auto,
         len(features), limit, float(np.ptp(features.image_vertices(), axis=0).max())))
     if suspects is None or not (suspects.blunders | suspects.undecided).any():
         # Few points determine so much that the test finds nothing; the orientation of their
-        # triangles still tells two exchanged points.
+        # triangles still shows two exchanged points.
         exchange = exchange_of(pool)
         if exchange is not None:
             unlike_any_view = _unlike_any_view(pool, exchange, roles)
@@ -238,7 +238,7 @@ def _unlike_any_view(pool: FitData, exchange: Exchange,
 
 
 def _note_on_exchange(features: FeatureSet, exchange: Exchange) -> str:
-    """Return what tells that points are wrong, and which."""
+    """Return what shows that points are wrong, and which."""
     ids = [features.ids[i] for i in exchange.points]
     reason = "no view of a plane reverses some triangles of points and others not, as these do"
     if exchange.is_pair:
@@ -282,7 +282,7 @@ def judge_independent(observations: Observations, choice: Choice | None, auto: A
         suspects = by_geometry
     elif choice is not None:
         if not choice.method.from_one:
-            # Where nothing tells what a height does, it contradicts nothing.
+            # Where nothing shows what a height does, it contradicts nothing.
             control = FitData.of(choice.chosen.control, observations.heights)
             points = points.take(off_plane(control, points.ground)[1] <= MEASURED)
         suspects = judge_others(choice.chosen, observations.heights, points, auto.memory)

@@ -1,4 +1,4 @@
-"""Many runs as one study: plan, run what is not finished, tell what came out."""
+"""Many runs as one study: plan, run what is not finished, show what came out."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def compare(
         directory = Path(out) if out is not None else stack.enter_context(private_folder())
         plugins = _plugins(cells, spec)
         journal = _open_journal(stack, directory, {**versions(), **plugins})
-        # Read before the plan is replaced, to tell what has changed since.
+        # Read before the plan is replaced, to show what has changed since.
         before = keys_by_labels(directory)
         write_plan(spec, cells, workers, directory)
         finished = {cell.key: journal.records[cell.key] for cell in cells

@@ -87,7 +87,7 @@ def _chosen_projection(sheets: list[FeatureSet], candidates: Path | None,
 
 
 def _say_paper(series: Series) -> None:
-    """Say what the sheets tell of another one."""
+    """Say what the sheets show of another one."""
     from termsel_cameras.sheets.paper import paper_of
 
     if not series.sheets:

@@ -197,7 +197,7 @@ def stability(
 
 
 def _observer_of_all(observe: Observer, repetition: int, repeats: int) -> Observer:
-    """Return an observer of one repetition, which tells `observe` the share of all of them."""
+    """Return an observer of one repetition, which shows `observe` the share of all of them."""
     def told(progress: Progress) -> None:
         observe(replace(progress, share=(repetition + (progress.share or 0.0)) / repeats,
                         what=f"repetition {repetition + 1} of {repeats}"))
@@ -241,7 +241,7 @@ def _fit_terms(task: Task, is_stable: BoolArray) -> tuple[bool, dict[str, Rmse |
     # A model needs terms for line and for sample.
     if not is_stable[axis == 0].any() or not is_stable[axis == 1].any():
         return False, {}
-    # By plain least squares, which tell whether the terms are determined.
+    # By plain least squares, which show whether the terms are determined.
     fitted = LeastSquares().fit(task.model, control_and_check, scaling, is_stable,
                                 np.ones(len(control_and_check), dtype=bool))
     # Poles anywhere in the area of the points would make the model useless there.

@@ -74,7 +74,7 @@ def tables_of(study: Study, *, brief: bool = False) -> tuple[list[TableBlock], l
             [(pair.first, pair.second, str(pair.wins), str(pair.losses), f"{pair.p:.2g}",
               f"{pair.corrected:.2g}") for pair in comparison.pairs]))
     # What failed is named with its reason: it counts as worst above.
-    tables.append(TableBlock("Cells without a result", ("cell", "state", "reason"), [
+    tables.append(TableBlock("Runs without a result", ("run", "state", "reason"), [
         (_name_of_page(row), row["state"], row["reason"]) for row in rows
         if row["state"] in ("failed", "infeasible")]))
     return [table for table in tables if table.rows], claims(groups, comparison, rows)

@@ -34,7 +34,7 @@ _TELLING = 4  # points from which on a mirror image shows, or half as many again
 MIRRORED = 3  # points from which on it shows next to other images
 _UPWARDS = "line numbers grow to the north"
 _UNLIKE = 0.2  # share of the image coordinates' variance that relief and distortion may leave
-_FLAT = 0.05  # ratio of the axes of what a matrix makes of a circle, below which nothing tells
+_FLAT = 0.05  # ratio of the axes of what a matrix makes of a circle, below which nothing shows
 _NO_DEGREES = 360.0  # beyond which no longitude is
 _WIDE = 20.0  # degrees that a scene may be wide
 _SENSOR = "sensor"  # column that names what took the image
@@ -42,7 +42,7 @@ _AREA_MARGIN = 5.0  # degrees outside the area of a CRS at which features may st
 
 
 def place_of(features: FeatureSet) -> str:
-    """Return where the middle of features is, such as "34.8 N, 48.5 E"; "" if nothing tells."""
+    """Return where the middle of features is, such as "34.8 N, 48.5 E"; "" if nothing shows."""
     ground = features.ground_vertices()
     middle = degrees_of(features.crs, ground) if len(ground) else None
     if middle is None:
@@ -84,7 +84,7 @@ def note_on_turned(features: FeatureSet) -> str:
 
 
 def unknown_crs(features: FeatureSet, may_turn: bool) -> TermselError:
-    """Return the error for features without a CRS, with what --crs could say where they tell.
+    """Return the error for features without a CRS, with what --crs could say where they show.
 
     Where axes look swapped and `may_turn`, it says which option exchanges them, too.
     """
@@ -142,10 +142,10 @@ def _coordinate_counted_otherwise(features: FeatureSet) -> str:
 
 
 def is_mirrored(features: FeatureSet) -> bool | None:
-    """Return whether the image is a mirror image of the ground; None where nothing tells.
+    """Return whether the image is a mirror image of the ground; None where nothing shows.
 
     The determinant of the matrix from ground to image says so, of three points on no line already.
-    Whether this is right depends on how the image is counted: others of its kind tell.
+    Whether this is right depends on how the image is counted: others of its kind show.
     """
     turn = _matrix(features, MIRRORED)
     return None if turn is None else bool(np.linalg.det(turn) < 0)
@@ -238,7 +238,7 @@ def _is_inside(position: tuple[float, float], area: tuple[float, float, float, f
 
 
 def degrees_of(crs: str, ground: FloatArray) -> tuple[float, float] | None:
-    """Return longitude and latitude [deg] of the middle of places, None where nothing tells."""
+    """Return longitude and latitude [deg] of the middle of places, None where nothing shows."""
     try:
         if is_geographic(crs):
             lon = float(median(continuous(ground[:, 0])))
@@ -250,7 +250,7 @@ def degrees_of(crs: str, ground: FloatArray) -> tuple[float, float] | None:
             turn = transformation(crs, geodetic) if is_geocentric(crs) else transformation(
                 horizontal(crs), horizontal(geodetic), strict=False)
             lon, lat = turn(middle)[0, :2].tolist()
-    except TermselError:  # without a CRS or without pyproj nothing tells
+    except TermselError:  # without a CRS or without pyproj nothing shows
         return None
     return ((lon + 180.0) % 360.0 - 180.0, lat) if np.isfinite([lon, lat]).all() \
         and abs(lat) <= 90 else None

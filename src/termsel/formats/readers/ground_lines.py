@@ -79,7 +79,7 @@ class VectorLines(Reader):
 
 
 def _no_join(path: Path, join: str, names: list[str], has_image_lines: bool) -> TermselError:
-    """Return the error for ground lines without the property that tells which is which."""
+    """Return the error for ground lines without the property that shows which is which."""
     known = f"Their properties are {', '.join(names)}. " if names else "They have no properties. "
     example = names[0] if len(names) == 1 else "PROPERTY"
     needed = "" if has_image_lines else \

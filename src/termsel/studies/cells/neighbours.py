@@ -56,7 +56,7 @@ def setting_of(features: FeatureSet) -> dict[str, Any]:
 
     `place` is the longitude and latitude [deg] of the median of its features, `exchanged` the same
     if x and y are exchanged, `mirrored` whether the image is a mirror image of the ground; each is
-    None where nothing tells. `doubt` is a sentence on axes that look swapped, "" if none do.
+    None where nothing shows. `doubt` is a sentence on axes that look swapped, "" if none do.
     """
     ground = features.ground_vertices()
     # Both orders, so that an exchange of x and y can be told.
@@ -168,7 +168,7 @@ def _directions(positions: FloatArray) -> FloatArray:
 def _middle(positions: FloatArray) -> Place:
     """Return the middle of places: the direction of the sum of theirs."""
     x, y, z = _directions(positions).sum(axis=0)
-    # The z component tells the latitude, the horizontal ones the longitude.
+    # The z component shows the latitude, the horizontal ones the longitude.
     return float(np.degrees(np.arctan2(y, x))), float(np.degrees(np.arctan2(z, np.hypot(x, y))))
 
 

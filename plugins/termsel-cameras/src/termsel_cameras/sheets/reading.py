@@ -94,7 +94,7 @@ def _projection_in_words(ranked: Sequence[Tried], taken: Tried) -> str:
 
 
 def _sheet_of_series(features: FeatureSet, values: Mapping[str, Any]) -> FeatureSet:
-    """Return a sheet with what its series tells."""
+    """Return a sheet with what its series shows."""
     from termsel_cameras.sheets.series_file import in_series, read_series  # it fits models
 
     if other := values.keys() & {"projection", "projection_candidates", "map_century"}:
