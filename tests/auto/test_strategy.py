@@ -355,7 +355,7 @@ def test_too_few_points_are_said_to_be() -> None:
     with pytest.raises(termsel.TermselError, match="on one straight line"):
         termsel.run("rfm-terms", features=FeatureSet(replace(points, roles=roles, ground=lying)))
     result = termsel.run("rfm-terms", features=FeatureSet(replace(points, roles=roles)))
-    assert any("nothing tells what a height does" in note for note in result.notes)
+    assert any("nothing distinguishes what a height does" in note for note in result.notes)
 
 
 def test_the_result_is_whole_in_its_folder(result: termsel.Result, folder: Path) -> None:
