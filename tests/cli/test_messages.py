@@ -169,6 +169,25 @@ def test_the_method_of_an_rpc_asks_for_one(example_files: Path) -> None:
     assert "Measure more" not in message
 
 
+@pytest.mark.parametrize(("words", "message"), [
+    (["run", "x.csv", "--degree", "2"],
+     "there is no option --degree. Set it by --set degree=VALUE."),
+    (["stability", "x.csv"], "A file of points is given by --points FILE."),
+    (["bench", "--check", "nowhere"], "--check is 'nowhere', which does not exist. Check the name"),
+    (["accuracy", "nowhere"], "nowhere: there is no result here: this folder does not exist.")])
+def test_what_strangers_type(words: list[str], message: str) -> None:
+    assert message in refused(*words)
+
+
+def test_a_table_of_places_says_that_the_image_is_missing(tmp_path: Path) -> None:
+    table = tmp_path / "places.csv"
+    table.write_text("name,east,north,elev\n" + "".join(
+        f"P{i},48.{i},34.{i * i},100\n" for i in range(8)))
+    message = refused("run", str(table), "--crs", "EPSG:4979")
+    assert "has ground coordinates alone: columns for line and sample are missing" in message
+    assert "?" not in message
+
+
 def test_a_file_given_twice_and_a_folder_among_files(example_files: Path, tmp_path: Path) -> None:
     table = str(example_files / "gcps.csv")
     assert f"{table} is given twice. Give it once." in refused("run", table, table)
@@ -176,7 +195,7 @@ def test_a_file_given_twice_and_a_folder_among_files(example_files: Path, tmp_pa
         in refused("run", table, str(tmp_path))
 
 
-def test_points_to_project_are_to_be_in_the_crs_of_the_control(example_files: Path) -> None:
+def test_a_result_takes_places_in_its_crs_and_its_page_is_no_pdf(example_files: Path) -> None:
     # The command has no --crs.
     places = example_files.parent / "places.csv"
     places.write_text("id,x,y,z\np1,270548.794,3854107.257,1800\n")
@@ -186,6 +205,10 @@ def test_points_to_project_are_to_be_in_the_crs_of_the_control(example_files: Pa
     message = refused("project", str(result), "--points", str(places))
     assert "The points must be in the CRS of the control, EPSG:4979: transform them" in message
     assert "--crs" not in message
+    page = result / "report.pdf"
+    assert "a page is HTML, not .pdf. Name it report.html" \
+        in refused("report", str(result), "-o", str(page))
+    assert not page.exists()
 
 
 def test_a_list_of_toml_that_never_ends_is_said_where_it_begins(tmp_path: Path) -> None:

@@ -257,7 +257,7 @@ HOSTILE: dict[str, tuple[bytes, str]] = {
     "two places": (b"id,x,easting,lat,h,line\n1,2,3,4,5,6\n",
                    "columns 'x' and 'easting' both mean x|sample"),
     "JSON": (b'{"a": 1}', "in no format that termsel knows"),
-    "GeoJSON without pixels": (geojson(lambda i: {"a": i}), "there is no column for line"),
+    "GeoJSON without pixels": (geojson(lambda i: {"a": i}), "has ground coordinates alone"),
     "cut database": (b"SQLite format 3\0" + bytes(52) + b"GP10" + bytes(99),
                      "cannot read|no geometry"),
     "unknown column": (CLEAN.replace(b"Row", b"Quux"), "--columns 'id=Name,line=Quux,"),

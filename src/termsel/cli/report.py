@@ -11,6 +11,8 @@ from termsel.cli.options.shared import remote_option
 from termsel.core.errors import TermselError, first_of
 
 REPORT = "report.html"
+PAGES = (".html", ".htm")
+"""Suffixes of a page."""
 
 
 @click.command()
@@ -57,6 +59,10 @@ def report(folder: Path, output: Path | None, image: str | None, overwrite: bool
     # A page must not replace what it is made of.
     study_files = [folder / PLAN, folder / JOURNAL, *(folder / IMAGES).glob("*")]
     require_replaceable([output], reads=[folder, image, *study_files], overwrite=overwrite)
+    if output.suffix.lower() not in PAGES:
+        raise TermselError(f"a page is HTML, not {output.suffix or 'without a suffix'}",
+                           file=output, hint=f"Name it {output.with_suffix('.html').name}; a "
+                                             "browser prints it as PDF.")
     if not is_study:
         read_result(folder).report(output, image=image, overwrite=True)
     elif image is None:

@@ -17,6 +17,7 @@ _NO_LIMIT = 1e8
 """A largest number from which on nobody reaches it."""
 
 _EXTRA = re.compile(r"Got unexpected extra arguments? \((.*)\)", re.DOTALL)
+_LOST = re.compile(r"(?:Directory|File|Path) '(.*)' does not exist", re.DOTALL)
 
 
 def usage_message(error: click.ClickException) -> str:
@@ -151,6 +152,9 @@ def _bad_value(error: click.BadParameter, param: click.Parameter) -> str:
         word = repr(typed_word[1]) if typed_word else "another word"
         listed = ", ".join(choices[:-1])
         return f"{name} is {word}, expected {listed} or {choices[-1]}.{question}"
+    lost = _LOST.match(message)
+    if lost:
+        return f"{name} is {lost[1]!r}, which does not exist. Check the name and the folder."
     return f"{name}: {message.rstrip('.')}. Type {name} {_value_name(param)}."
 
 
@@ -172,5 +176,7 @@ def _extra_words(error: click.ClickException) -> str:
     if extra is None or ctx is None:
         return error.format_message()
     usage = " ".join(ctx.command.collect_usage_pieces(ctx))
-    return f"{extra[1]!r} is more than this command takes: {ctx.command_path} {usage}. " \
-           "A name with spaces needs quotation marks."
+    remedy = "A name with spaces needs quotation marks."
+    if any("--points" in param.opts for param in ctx.command.params):
+        remedy = f"A file of points is given by --points FILE. {remedy}"
+    return f"{extra[1]!r} is more than this command takes: {ctx.command_path} {usage}. {remedy}"

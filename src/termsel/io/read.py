@@ -620,7 +620,8 @@ def _check_areas(path: Path, reader: Reader, asked_for: bool) -> None:
                            hint="Give points with --points and lines with --lines.")
     if not asked_for:
         raise TermselError("the file has areas", file=path,
-                           hint=f"Give it as areas, not as points or lines: --areas {path}.")
+                           hint="Give it as areas, not as points or lines: termsel run "
+                                f"--areas {path}.")
 
 
 def _with_areas(features: FeatureSet, areas: FeatureSet, path: Path) -> FeatureSet:

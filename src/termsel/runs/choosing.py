@@ -196,7 +196,7 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
         *filter(None, (rpc_unused, rpc_correction)),
         *([doubt] if (doubt := rpc_correction and doubt_of_fitted_rpc(clean)) else []),
         *notes_on_data(request.features, observations, heights=not heights_are_known,
-                       blank=request.blank),
+                       blank=request.blank, clean=clean),
         *_notes(request.model, clean, errors, interrupted, plane=not fitted.model.uses_height,
                 determined=outcome.exact,
                 has_geometry=method.from_one),

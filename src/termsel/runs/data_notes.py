@@ -186,11 +186,13 @@ line."""
 
 
 def notes_on_data(read: FeatureSet, observations: Observations, heights: bool,
-                  blank: Sequence[str] = (), fitted: FeatureSet | None = None) -> Iterator[str]:
+                  blank: Sequence[str] = (), fitted: FeatureSet | None = None,
+                  clean: Observations | None = None) -> Iterator[str]:
     """Yield what the reader of a result must know of the data, as read and each in its role.
 
     `heights` is whether heights would be used; `blank` are features that were left out as they have
-    no height; a model is fitted to `fitted`, by default control and check together.
+    no height; a model is fitted to `fitted`, by default control and check together; `clean` are
+    the observations without outliers.
     """
     if blank:
         yield note_on_blank(blank, read)
@@ -206,7 +208,8 @@ def notes_on_data(read: FeatureSet, observations: Observations, heights: bool,
     # In the order in which a reader would act: datum, repeated points, geometry, heights.
     yield from _note_on_two_groups(features)
     yield from _note_on_twins(features.points, independent)
-    yield from _note_on_one_line(features)
+    # One blunder far away draws all others together.
+    yield from _note_on_one_line((clean or observations).together)
     if heights and not blank:
         yield from _note_on_blank_among_others(features)
     if heights and len(features) > 1 and not features.without_height():

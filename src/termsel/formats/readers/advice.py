@@ -172,6 +172,12 @@ def _with_readings(error: TermselError, header: Sequence[str], rows: Sequence[Se
     before = error.hint or ""
     free = len(header) - len(set(readings[0].values()) | set(fixed))
     if texts[0].count("=?") > free:  # no column is left to be declared
+        if texts[0].count("=?") == 2 and "line=?,sample=?" in texts[0]:
+            error.what = "this table has ground coordinates alone: columns for line and sample " \
+                "are missing"
+            error.column = None
+            error.hint = ("Add the image coordinates of each point. By a result they are computed: "
+                          "termsel project DIR --points FILE.")
         return error
     # No reading has all columns; a point read so could not be shown.
     if "=?" in texts[0]:
