@@ -33,6 +33,7 @@ POINTS_AT_ONCE, CELLS_AT_ONCE = 64, 8
 
 # Nothing is allocated. Sums may be taken in any order. `max` would be compiled on its own.
 _compiled = partial(compiled, _nrt=False, fastmath={"reassoc", "contract", "nsz", "nnan"})
+_inlined = partial(_compiled, forceinline=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,6 +174,46 @@ def _fill_axis_figures(axis: AxisErrors, start: int, m: int, of_axis: FloatArray
             of_axis[3, u, p] = error * inverse * error
 
 
+# Loops over a few rows each, as only these become instructions for several numbers at once.
+
+
+@_inlined
+def _fill_excess(line_square: FloatArray, sample_square: FloatArray, square: float,
+                 min_square: float, excess: FloatArray, largest: FloatArray) -> None:
+    """Fill in S / S' - 1 of a cell, and raise the largest of all cells."""
+    most = square - min_square
+    for p in range(len(excess)):
+        removed = line_square[p] + sample_square[p]
+        # S' is the sum of squares of the others: not below what counts as no noise.
+        removed = removed if removed < most else most
+        excess[p] = removed / (square - removed)
+    for p in range(len(excess)):
+        largest[p] = excess[p] if excess[p] > largest[p] else largest[p]
+
+
+@_inlined
+def _fill_share(line_root: FloatArray, sample_root: FloatArray, weight: float, share: FloatArray,
+                total: FloatArray) -> None:
+    """Fill in what is left of the factor of a cell without its power, and add it."""
+    for p in range(len(share)):
+        share[p] = weight * line_root[p] * sample_root[p]
+        total[p] += share[p]
+
+
+@_inlined
+def _fill_power(excess: FloatArray, scale: FloatArray, lowest: float, power: FloatArray) -> None:
+    """Fill in S / S' of a cell by the largest, lest powers overflow."""
+    for p in range(len(power)):
+        relative = (1.0 + excess[p]) * scale[p]
+        power[p] = relative if relative > lowest else lowest
+
+
+@_inlined
+def _add_products(x: FloatArray, y: FloatArray, total: FloatArray) -> None:
+    for p in range(len(total)):
+        total[p] += x[p] * y[p]
+
+
 @_compiled
 def _fill_held_out_figures(line: AxisErrors, sample: AxisErrors, square: FloatArray,
                            min_square: FloatArray,
@@ -193,38 +234,29 @@ def _fill_held_out_figures(line: AxisErrors, sample: AxisErrors, square: FloatAr
     for c in range(len(weight)):
         u = line.solution_of_cell[c]
         v = sample.solution_of_cell[c]
-        for p in range(m):
-            removed = of_line[3, u, p] + of_sample[3, v, p]
-            # S' is the sum of squares of the others: not below what counts as no noise.
-            removed = removed if removed < square[c] - min_square[c] else square[c] - min_square[c]
-            excess[c, p] = removed / (square[c] - removed)
-            sums[0, p] = excess[c, p] if excess[c, p] > sums[0, p] else sums[0, p]
+        _fill_excess(of_line[3, u], of_sample[3, v], square[c], min_square[c], excess[c], sums[0])
     for p in range(m):
         sums[8, p] = 1.0 / (1.0 + sums[0, p])
     for first in range(0, len(weight), CELLS_AT_ONCE):
         last = min(first + CELLS_AT_ONCE, len(weight))
         for c in range(first, last):
-            u = line.solution_of_cell[c]
-            v = sample.solution_of_cell[c]
-            offset = (c - first) * m
-            for p in range(m):
-                share[offset + p] = weight[c] * of_line[1, u, p] * of_sample[1, v, p]
-                sums[1, p] += share[offset + p]
-                relative = (1.0 + excess[c, p]) * sums[8, p]  # of the largest, lest powers overflow
-                power[offset + p] = relative if relative > lowest else lowest
+            of_cell = slice((c - first) * m, (c - first + 1) * m)
+            _fill_share(of_line[1, line.solution_of_cell[c]],
+                        of_sample[1, sample.solution_of_cell[c]], weight[c], share[of_cell],
+                        sums[1])
+            _fill_power(excess[c], sums[8], lowest, power[of_cell])
         _multiply_by_power(power, half, (last - first) * m, share)  # of the cells at once
         for c in range(first, last):
             u = line.solution_of_cell[c]
             v = sample.solution_of_cell[c]
-            offset = (c - first) * m
+            probability = share[(c - first) * m:(c - first + 1) * m]
             for p in range(m):
-                probability = share[offset + p]
-                sums[2, p] += probability * excess[c, p]
-                sums[3, p] += probability
-                sums[4, p] += probability * of_line[2, u, p]
-                sums[5, p] += probability * of_line[0, u, p]
-                sums[6, p] += probability * of_sample[2, v, p]
-                sums[7, p] += probability * of_sample[0, v, p]
+                sums[3, p] += probability[p]
+            _add_products(probability, excess[c], sums[2])
+            _add_products(probability, of_line[2, u], sums[4])
+            _add_products(probability, of_line[0, u], sums[5])
+            _add_products(probability, of_sample[2, v], sums[6])
+            _add_products(probability, of_sample[0, v], sums[7])
     for p in range(m):
         # Powers are relative to the largest, which only the logarithm gets back.
         logarithm = half * np.log1p(sums[0, p])

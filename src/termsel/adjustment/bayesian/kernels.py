@@ -9,8 +9,8 @@ import numpy as np
 
 from termsel.data.features import FloatArray
 
-GROUND_BATCH = 2000
-"""Places whose kernels are held in memory."""
+GROUND_BATCH = 200
+"""Places whose kernels are worked on together: what is read again stays in a cache."""
 
 SPLINE_KNOTS = 1000
 """Most points that have a kernel each, and knots of more. As many for some of the points as for
@@ -112,7 +112,12 @@ def _affine_columns(positions: FloatArray) -> FloatArray:
 def kernel(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return r^2 log r of the distances r between places, shape (len(a), len(b))."""
     squares = squared_distances(a, b)
-    return np.asarray(squares * np.log(np.where(squares > 0.0, squares, 1.0)) / 2)
+    # In place, as these are the largest arrays; 0 log 0 is 0.
+    logs = np.where(squares > 0.0, squares, 1.0)
+    np.log(logs, out=logs)
+    squares *= logs
+    squares /= 2
+    return squares
 
 
 def squared_distances(a: FloatArray, b: FloatArray) -> FloatArray:
