@@ -145,28 +145,21 @@ def camera_priors(kinds: Sequence[Kind], positions: FloatArray, scaled: FloatArr
     """
     # In steps, so that views of points held out are found again.
     azimuth = AZIMUTH_STEP * round(np.degrees(float(np.arctan2(*slopes[0]))) / AZIMUTH_STEP)
-    plane = np.column_stack([np.ones(len(positions)), positions[:, :2]])
-    to_slopes = np.linalg.pinv(plane)[1:]
-    to_coefficients = np.linalg.pinv(monomials(scaled, exponents))[N_FREE:]
     means = []
     covariances = []
     names = []
     shares_of_views = []
     for kind, views, share in kinds:
-        for seen in _cached_views(views, positions.tobytes(), azimuth, latitude):
-            # Fewer cameras than coefficients have a covariance of too low a rank.
-            if len(seen) < 2 * len(exponents):
-                continue
-            own_slopes = to_slopes @ seen                                        # (cameras, 2, 2)
+        for own_slopes, coefficients in _cached_views(views, positions.tobytes(), scaled.tobytes(),
+                                                      exponents, azimuth, latitude):
             # Each camera has the pixels of the image, and counts samples in its direction.
             factor = np.linalg.norm(slopes, axis=1) / np.linalg.norm(own_slopes, axis=1)
-            factor *= np.sign(np.einsum("cxa,ax->ca", own_slopes, slopes))
-            coefficients = to_coefficients @ seen * factor[:, None]       # (cameras, k - N_FREE, 2)
-            stacked = coefficients.swapaxes(1, 2).reshape(len(seen), -1)
-            mean = stacked.mean(axis=0)
-            deviations = stacked - mean
+            factor *= np.sign((own_slopes * slopes.T).sum(axis=1))
+            of_image = (coefficients * factor[:, :, None]).reshape(len(factor), -1)
+            mean = of_image.mean(axis=0)
+            deviations = of_image - mean
             means.append(mean)
-            covariances.append(deviations.T @ deviations / (len(seen) - 1.0))
+            covariances.append(deviations.T @ deviations / (len(factor) - 1.0))
             names.append(kind)
             shares_of_views.append(share)
     if not means:
@@ -186,9 +179,18 @@ def camera_priors(kinds: Sequence[Kind], positions: FloatArray, scaled: FloatArr
 
 
 @lru_cache(maxsize=16)  # points held out hardly turn an image, and most do not narrow its extent
-def _cached_views(views: Views, positions: bytes, azimuth: float,
-                  latitude: float) -> tuple[FloatArray, ...]:
-    return views(np.frombuffer(positions).reshape(-1, 3), np.radians(azimuth), latitude)
+def _cached_views(views: Views, positions: bytes, scaled: bytes, exponents: Exponents,
+                  azimuth: float, latitude: float) -> list[tuple[FloatArray, FloatArray]]:
+    """Return slopes (c, 2, 2) and coefficients (c, 2, k - N_FREE) of what c cameras see."""
+    places = np.frombuffer(positions).reshape(-1, 3)
+    plane = np.column_stack([np.ones(len(places)), places[:, :2]])
+    to_slopes = np.linalg.pinv(plane)[1:]
+    to_coefficients = np.linalg.pinv(
+        monomials(np.frombuffer(scaled).reshape(-1, 3), exponents))[N_FREE:]
+    # Fewer cameras than coefficients have a covariance of too low a rank.
+    return [(to_slopes @ seen, np.ascontiguousarray((to_coefficients @ seen).swapaxes(1, 2)))
+            for seen in views(places, np.radians(azimuth), latitude)
+            if len(seen) >= 2 * len(exponents)]
 
 
 class CameraEquations:
