@@ -111,6 +111,8 @@ def matches(header: Sequence[str], aliases: Aliases) -> dict[str, list[int]]:
     # Most rows that are asked about hold numbers, none of which is a name.
     forms = {i: pair for i, pair in enumerate(map(_forms, header))
              if not all_names.isdisjoint(pair)}
+    if not forms:
+        return {meaning: [] for meaning in names_of}
     columns: dict[str, list[int]] = {}
     all_columns: dict[str, list[int]] = {}
     for meaning, (plain_names, further_names) in names_of.items():

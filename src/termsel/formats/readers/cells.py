@@ -8,6 +8,7 @@ import io
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -218,7 +219,17 @@ def _split_lines(line: str, delimiter: str) -> list[str]:
 
 def _delimiter(text: str, aliases: Aliases, stated: Mapping[str, str]) -> str:
     """Return the separator by which a line names most columns, or divides into most cells."""
-    lines = list(_first_lines(text))
+    return _delimiter_of_lines(tuple(_first_lines(text)), tuple(
+        (meaning, tuple(names)) for meaning, names in aliases.items()),
+                               tuple(stated.items()))
+
+
+@lru_cache(64)  # several readers ask about a file, some of them several times
+def _delimiter_of_lines(lines: tuple[str, ...], items: tuple[tuple[str, tuple[str, ...]], ...],
+                        stated_items: tuple[tuple[str, str], ...]) -> str:
+    """Return the same for the first lines of a text."""
+    aliases = dict(items)
+    stated = dict(stated_items)
     candidates = [(0, 0, 0, ",")]
     for i, line in enumerate(lines):
         for delimiter in _delimiters_of(line):
