@@ -89,6 +89,8 @@ def line_normals(lines: Lines) -> tuple[FloatArray, FloatArray]:
     >>> abs(normal).tolist(), abs(rho).tolist()
     ([[1.0, 0.0]], [2.0])
     """
+    if not len(lines):
+        return np.empty((0, 2)), np.empty(0)
     direction = lines.image[:, 1] - lines.image[:, 0]
     normal = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)

@@ -188,8 +188,7 @@ def _cached_evidence(measurements: Measurements, scaling: Scaling, crs: str,
         if posterior is None:
             return None
         # Without heights no coefficient has a part in the evidence.
-        of_heights = None if variables == 2 else mean_coefficients(
-            posterior, points.ground, points.image, powers, weights)[0][3]
+        of_heights = None if variables == 2 else mean_coefficients(posterior, powers)[0][3]
         # Log of one half: the degrees 2 and 3 share the probability of polynomials.
         logs.append(log_marginal_likelihood(posterior, of_heights, height,
                                             1.0 / scaling.image_scale) - np.log(2.0))

@@ -117,35 +117,27 @@ def average(ground: FloatArray, image: FloatArray, exponents: Exponents,
     posterior = polynomial_posterior(ground, image, exponents, weights)
     if posterior is None:
         return None
-    coefficients, effective = mean_coefficients(posterior, ground, image, exponents, weights)
+    coefficients, effective = mean_coefficients(posterior, exponents)
     errors = posterior.held_out.errors
     return Average(coefficients, errors if weights is None else errors / weights, effective)
 
 
-def mean_coefficients(posterior: Posterior, ground: FloatArray, image: FloatArray,
-                      exponents: Exponents,
-                      weights: FloatArray | None) -> tuple[FloatArray, float]:
+def mean_coefficients(posterior: Posterior, exponents: Exponents) -> tuple[FloatArray, float]:
     """Return the averaged coefficients of a posterior, (k, 2), and its effective parameters.
 
-    The others are as for `average`.
+    The exponents are as for `average`.
     """
-    order = np.array(exponents).sum(axis=1)
-    columns = monomials(ground, exponents)
-    affine = columns[:, order < 2]
-    line, line_effective = posterior.mean(0)
-    sample, sample_effective = posterior.mean(1)
-    shrunk = np.stack([line, sample], axis=1)
+    free = np.array(exponents).sum(axis=1) < 2
     coefficients = np.empty((len(exponents), 2))
-    coefficients[order > 1] = shrunk
-    # Affine terms fit what the others leave.
-    residuals = image - columns[:, order > 1] @ shrunk
-    if weights is None:
-        coefficients[order < 2] = np.linalg.lstsq(affine, residuals)[0]
-    else:
-        for axis, w in enumerate(weights.T):
-            coefficients[order < 2, axis] = np.linalg.lstsq(affine * w[:, None],
-                                                            residuals[:, axis] * w)[0]
-    effective = line_effective + sample_effective
+    effective = 0.0
+    for axis, (design, solutions) in enumerate(zip(posterior.designs, posterior.solutions,
+                                                   strict=True)):
+        shrunk, of_axis = posterior.mean(axis)
+        coefficients[~free, axis] = shrunk
+        # Affine terms fit what the others leave: R x = Q'(y - C shrunk), of their factors Q R.
+        coefficients[free, axis] = np.linalg.solve(
+            design.lead, solutions.free - design.free_projections @ shrunk)
+        effective += of_axis
     return coefficients, effective
 
 

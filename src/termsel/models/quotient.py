@@ -213,11 +213,12 @@ class RationalModel(SensorModel):
             # The image of a vertex by a polynomial through the control, as its place along the line
             # is not measured.
             image = approximate_image(features, heights=self.uses_height)
-        vertices = lines.ground.reshape(-1, 3)
+        of_vertices = np.empty((0, 2, len(self.terms)))
+        if len(lines):
+            of_vertices = self._axis_rows(self._columns(lines.ground.reshape(-1, 3)), image)
         return image_equations(features,
                                self._axis_rows(self._columns(points.ground), points.image),
-                               self._axis_rows(self._columns(vertices), image),
-                               heights=self.uses_height)
+                               of_vertices, heights=self.uses_height)
 
     @property
     def weighted(self) -> bool:
@@ -234,7 +235,9 @@ class RationalModel(SensorModel):
         if not self.weighted and (self.exact_for_lines or not len(features.lines)):
             return None
         systems = []
-        for ground in (features.points.ground, features.lines.ground.reshape(-1, 3)):
+        vertices = features.lines.ground.reshape(-1, 3)
+        for ground in (features.points.ground, vertices) if len(vertices) else (
+                features.points.ground,):
             columns = self._columns(ground)
             below = self._denominators(coefficients, columns)
             assert below is not None
@@ -243,6 +246,8 @@ class RationalModel(SensorModel):
                 image = self._axis_forms(coefficients, columns, "line", "sample") / below
                 systems += [self._axis_rows(columns, image) / below[..., None],
                             image - image / below]
+        if not len(vertices):
+            systems += [np.empty((0, 2, len(self.terms))), np.empty((0, 2))]
         return image_equations(features, *systems[::2], *systems[1::2], heights=self.uses_height)
 
     @property

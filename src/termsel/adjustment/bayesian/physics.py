@@ -212,7 +212,9 @@ class CameraEquations:
         self.basis = q[:, 2 * N_FREE:]
         self.free_projections = q[:, :2 * N_FREE].T @ shrunken
         self.shrunken = self.basis.T @ shrunken
-        self.target = self.basis.T @ (image * weights).T.ravel()
+        measured = (image * weights).T.ravel()
+        self.target = self.basis.T @ measured
+        self.free_target = q[:, :2 * N_FREE].T @ measured
 
 
 class CameraSolutions:
@@ -301,11 +303,10 @@ class CameraSolutions:
         # The mean of the prior, and what the residuals add to it: mu + C A' S^-1 v.
         found = np.empty((len(rest), equations.columns.shape[1], 2))
         found[:, N_FREE:] = rest.swapaxes(1, 2)
-        lead = equations.columns[:, :N_FREE]
-        for axis, weight in enumerate(equations.weights.T):
-            left = equations.image[:, axis] - rest[:, axis] @ equations.columns[:, N_FREE:].T
-            found[:, :N_FREE, axis] = np.linalg.lstsq(lead * weight[:, None],
-                                                      (left * weight).T)[0].T
+        # Free coefficients fit what the others leave: R x = Q'(y - A rest), of their factors Q R.
+        left = equations.free_target - rest.reshape(len(rest), -1) @ equations.free_projections.T
+        free = np.linalg.solve(equations.lead, left.T).T
+        found[:, :N_FREE] = free.reshape(-1, 2, N_FREE).swapaxes(1, 2)
         return found
 
     @property
