@@ -75,6 +75,13 @@ class Structure(Method):
         return (f"{self.title} needs heights that are known and differ" if self.without is None
                 else f"{self.title} is for features without heights")
 
+    def tried(self, data: FitData) -> bool:
+        """Return False where least squares of all terms leave no redundancy: nothing tells then."""
+        model = self.model(data.heights)
+        # A point has two equations, and so has a line.
+        return model is None or not isinstance(self.estimator, LeastSquares) \
+            or 2 * len(data) > len(model.terms)
+
     def fit(self, data: FitData) -> Fit:
         """Fit the model by the estimator, offering all its terms."""
         model = self.model(data.heights)

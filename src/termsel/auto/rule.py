@@ -79,8 +79,13 @@ def gain_of(squares: FloatArray, other_squares: FloatArray, rounding: float = 0.
     """
     tiny = np.finfo(float).tiny
     smallest = max(rounding**2, tiny)
-    gain = np.log(np.maximum(other_squares, smallest) / np.maximum(squares, smallest))
-    return float(gain.mean() / max(gain.std(ddof=1) / np.sqrt(len(gain)), tiny))
+    gains = np.log(np.maximum(other_squares, smallest) / np.maximum(squares, smallest))
+    count = len(gains)
+    mean = float(gains.sum()) / count
+    deviations = gains - mean
+    # Two of them have a standard error; what one has is not known.
+    variance = float(deviations @ deviations) / (count - 1) if count > 1 else np.nan
+    return mean / max(float(np.sqrt(variance / count)), tiny)
 
 
 # In how many folds features are held out, and which lines of a lattice are.
