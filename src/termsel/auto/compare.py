@@ -90,6 +90,9 @@ def compare(observations: Observations, auto: Auto, choice: Choice | None = None
         if method in ROBUST or (
                 name not in fits and auto.ask(method, "declines", data) is not None):
             continue
+        # A prior that so many points are not asked about has no errors to be shown.
+        if method.has_prior and len(data) > method.max_features:
+            continue
         model = auto.ask(method, "model", data.heights)
         # RFM are what the literature compares with: they are shown though the choice refused them.
         if name not in fits and not method.for_few and isinstance(model, RationalModel):
