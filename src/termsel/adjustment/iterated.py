@@ -82,6 +82,8 @@ def least_distances(quotients: Quotients, systems: tuple[IndependentPart, ...], 
                 improved = after < (1 - 1e-10) * before[not_improved]
                 x[active[not_improved[improved]]] = candidate[improved]
                 not_improved = not_improved[~improved]
+                if not len(not_improved):
+                    break
             active = np.delete(active, not_improved)
             if not len(active):
                 break
