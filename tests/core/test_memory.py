@@ -87,6 +87,30 @@ def test_what_cannot_be_compared_is_looked_at_every_time(scene: FeatureSet) -> N
     assert calls == [1, 1]
 
 
+def test_a_change_that_is_taken_back_is_answered_as_at_first_sight() -> None:
+    """Moved, dropped and taken back: each state has the answer that it has by itself."""
+    first = termsel.simulate_scene("ikonos-hamedan", seed=2, roles=(6, 0, 2), n_lines=0)
+    image = first.points.image.copy()
+    image[1] += 2.0
+    moved = first.with_(points=replace(first.points, image=image))
+    memory = Memory()
+    answers = []
+    for features in (first, moved, first):
+        answer = termsel.run(features=features, memory=memory).to_dict()
+        answers.append({key: part for key, part in answer.items() if key != "seconds"})
+    alone = termsel.run(features=moved).to_dict()
+    assert answers[0] == answers[2] != answers[1]
+    assert answers[1] == {key: part for key, part in alone.items() if key != "seconds"}
+
+
+def test_equal_features_are_fitted_once(scene: FeatureSet) -> None:
+    memory = Memory()
+    method = next(method for method in Auto().methods if method.name == "affine")
+    fitted = memory.fit(method, again(scene))
+    assert memory.fit(method, again(scene)) is fitted
+    assert memory.fit(method, again(scene, 1e-9)) is not fitted
+
+
 def test_another_run_on_the_same_features_tells_as_much(scene: FeatureSet) -> None:
     told: list[list[Any]] = [[], []]
     memory = Memory(max_answers=20)

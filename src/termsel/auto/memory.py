@@ -50,7 +50,9 @@ class Memory:
 
     max_answers: int = MAX_ANSWERS
     _answers: dict[Hashable, tuple[Any]] = field(default_factory=dict, init=False, repr=False)
-    _fits: dict[tuple[Method, FitData], Fit | Undetermined] = field(
+    _fits: dict[tuple[Method, Hashable], Fit | Undetermined] = field(
+        default_factory=dict, init=False, repr=False)
+    _latest: dict[str, tuple[FitData, bytes | None]] = field(
         default_factory=dict, init=False, repr=False)
 
     def recall(self, question: Hashable, data: FitData, find: Callable[[], _T],
@@ -60,9 +62,8 @@ class Memory:
         `question` says what of, and by which methods. Nothing is kept where finding it raised the
         number of `faults`, as it may not the next time.
         """
-        try:
-            checksum = hashlib.sha256(pickle.dumps(data)).digest()  # features may be many
-        except _NO_PICKLE:  # by what a package made of an RPC
+        checksum = self._checksum(data)
+        if checksum is None:
             return find()
         key = question, checksum
         answer = self._answers.pop(key, None)  # put to the end; each step is one for all threads
@@ -86,7 +87,8 @@ class Memory:
         """
         if len(data) > MAX_KEPT_FEATURES:
             return method.fit(data)
-        key = method, data
+        # Of equal features, whatever run asks: a change that is taken back is fitted already.
+        key = method, self._checksum(data) or data
         fitted = self._fits.get(key)
         if fitted is None:
             try:
@@ -99,6 +101,19 @@ class Memory:
         if isinstance(fitted, Undetermined):
             raise fitted.with_traceback(None)
         return fitted
+
+    def _checksum(self, data: FitData) -> bytes | None:
+        """Return what equal features have in common; None of what a package made of an RPC."""
+        latest = self._latest.get("data")
+        # Each method asks about the same features.
+        if latest is not None and latest[0] is data:
+            return latest[1]
+        try:
+            checksum = hashlib.sha256(pickle.dumps(data)).digest()  # features may be many
+        except _NO_PICKLE:
+            checksum = None
+        self._latest["data"] = data, checksum
+        return checksum
 
     def __reduce__(self) -> tuple[type[Memory], tuple[int]]:
         # Another process finds its own answers.

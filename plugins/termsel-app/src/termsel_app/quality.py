@@ -19,7 +19,7 @@ from termsel import TermselError
 from termsel.toolkit import charts, coordinates
 
 if TYPE_CHECKING:
-    from termsel import FeatureSet, Result
+    from termsel import FeatureSet, Memory, Result
 
 MIN_POINTS = 3
 """Points from which on there is a model without an RPC."""
@@ -60,8 +60,11 @@ def prepare() -> None:
         assert callable(name)
 
 
-def judged(question: Question) -> Iterator[Answer]:
+def judged(question: Question, memory: Memory | None = None) -> Iterator[Answer]:
     """Yield what is known of the control, the quickest first.
+
+    With a memory, what earlier questions found of the same control is not computed again: a change
+    is taken back, or is one of independent check points alone.
 
     The first answer has the figures and the result; the others the points' own prediction errors,
     the places to measure next, and the uncertainty all over the image. Where there is no result,
@@ -80,7 +83,7 @@ def judged(question: Question) -> Iterator[Answer]:
         return
     try:
         # What termsel refuses is shown like any other answer.
-        result = _run(question)
+        result = _run(question, memory)
     except TermselError as error:
         yield {**base, "stage": "refused", "text": f"{error.what}.", "hint": error.hint or "",
                "ids": list(error.ids)}
@@ -94,7 +97,7 @@ def judged(question: Question) -> Iterator[Answer]:
     yield {**base, "stage": "uncertainty", "uncertainty": uncertainty(result)}
 
 
-def _run(question: Question) -> Result:
+def _run(question: Question, memory: Memory | None) -> Result:
     """Return the result of a run with the control of a question."""
     with tempfile.TemporaryDirectory(prefix="termsel-app-") as folder:
         # Read from files like any others, so that DEM, RPC and checks work as for a command.
@@ -103,7 +106,7 @@ def _run(question: Question) -> Result:
             files.get("points"), files.get("lines"), dem=question.dem, rpc=question.rpc)
     if question.size is not None:
         features = replace(features, image_size=question.size)
-    return termsel.run(features=features)
+    return termsel.run(features=features, memory=memory)
 
 
 def written(features: FeatureSet, folder: Path) -> dict[str, Path]:

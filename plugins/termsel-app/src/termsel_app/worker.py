@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 def answer_all(questions: Connection, remote: bool, drivers: Sequence[str]) -> None:
     """Answer questions until there are no more; give up on one as soon as the next one is there."""
+    from termsel import Memory
     from termsel_app.quality import judged, prepare
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the server
@@ -29,9 +30,10 @@ def answer_all(questions: Connection, remote: bool, drivers: Sequence[str]) -> N
             stack.enter_context(allow_remote())
         stack.enter_context(allow_driver(*drivers))
         prepare()
+        memory = Memory()
         try:
             while (question := _newest(questions)) is not None:
-                for answer in judged(question):
+                for answer in judged(question, memory):
                     questions.send(answer)
                     if questions.poll():
                         break
