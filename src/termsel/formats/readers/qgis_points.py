@@ -92,7 +92,8 @@ class QgisPoints(TableReader):
         best = inside.index(max(inside))
         if best == len(readings) - 1:
             log.warning("Note: %s: sourceY is positive, unlike in files of QGIS, and is read as "
-                        "counted downwards from the top of the image.", table.path.name)
+                        "counted downwards from the top of the image.",
+                        "the table" if table.path is None else table.path.name)
         return readings[best], size
 
 
