@@ -372,3 +372,17 @@ def test_without_independent_points_the_prediction_is_stated_and_called_one(
     assert done.exit_code == 0, done.output
     assert json.loads(done.stdout)[0]["rmse"] == result.predicted.rmse
     assert "not stated: the result has no independent points" in done.stderr
+
+
+@pytest.mark.slow
+def test_a_statement_repeats_that_an_rpc_seems_fitted_to_its_points(tmp_path: Path) -> None:
+    pytest.importorskip("termsel_rpc")
+    scene = termsel.simulate_scene("ikonos-hamedan")
+    features = scene.take(np.arange(len(scene)) < 14)
+    features = features.with_(points=replace(features.points, roles=()))
+    rpc = termsel.rpc_of(termsel.fit(features, "affine")).rpc.as_delivered()
+    result = termsel.run(features=replace(features, rpc=rpc), method="rpc")
+    write_result(result, tmp_path)
+    shown = invoke("accuracy", tmp_path)
+    assert "Warning: " in shown.stderr
+    assert "as if it had been fitted to them" in shown.stderr

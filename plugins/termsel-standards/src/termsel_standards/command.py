@@ -17,6 +17,10 @@ _PATH = click.Path(path_type=Path)
 _POSITIVE_METRES = click.FloatRange(0, 1e6, min_open=True)
 
 
+_TOO_GOOD = "The RPC fits these points as if"
+"""Beginning of the note on an RPC that seems to have been fitted to the points of a run."""
+
+
 @click.command("accuracy")
 @click.argument("source", metavar="DIR|TABLE", type=_PATH)
 @click.option("--survey-sigma", metavar="METRES", type=_POSITIVE_METRES,
@@ -102,7 +106,13 @@ def _results_of(folder: Path) -> list[Result]:
     from termsel.toolkit.files import results_within
 
     inner = [] if (folder / "result.json").exists() else results_within(folder)
-    return [read_result(result) for result in inner] or [read_result(folder)]
+    results = [read_result(result) for result in inner] or [read_result(folder)]
+    # A statement is signed: what makes its figures too good is said beside it.
+    for result in results:
+        for note in result.notes:
+            if note.startswith(_TOO_GOOD):
+                click.echo(f"Warning: {result.data.source}: {note}", err=True)
+    return results
 
 
 def _predicted_only(result: Result) -> PredictedStatement | None:
