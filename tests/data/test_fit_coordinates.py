@@ -319,3 +319,10 @@ def test_elsewhere_no_polar_projection_is_tried(scene: FeatureSet) -> None:
 
 def test_the_moon_has_poles_too() -> None:
     assert "Polar stereographic at -90" in polar_crs("IAU_2015:30100", -85.0)
+
+
+def test_a_place_that_is_not_known_stays_unknown() -> None:
+    places = np.array([[500_000.0, 5_200_000.0, np.nan], [np.nan, np.nan, 400.0]])
+    found = transformation("EPSG:32632", "EPSG:4979")(places)
+    assert np.isfinite(found[0]).all()
+    assert np.isnan(found[1]).all()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -366,6 +367,19 @@ def test_two_points_off_a_plane_confirm_each_other_in_a_view() -> None:
     wrong[2, 2] += 12.0
     changed = replace(drawn.features, points=replace(points, ground=wrong))
     assert set(carriers(FitData.of(changed))) == {"P02", "P05"}
+
+
+def test_the_sky_is_not_held_and_outlines_leave_it_out(tmp_path: Path) -> None:
+    result = termsel.run(features=scene(22, 40, 10, 77).features)
+    sky = result.fit.locate([[0.0, 2000.0]], 410.0)
+    assert np.isnan(sky).all()
+    assert not result.fit.holds(sky).any()
+    pytest.importorskip("termsel_standards")
+    file = tmp_path / "scene_stac.json"
+    termsel.export(result, "stac-item", file)
+    west, south, east, north = json.loads(file.read_text(encoding="utf-8"))["bbox"]
+    assert 8.5 < west < east < 9.5
+    assert 46.5 < south < north < 47.5
 
 
 def test_a_view_that_is_hardly_oblique_gets_a_camera_if_it_fits_far_better() -> None:

@@ -427,7 +427,8 @@ class Fit(Glance):
             As for `project`.
         """
         points = self._ground_points(ground)
-        visible = ~self.unseen(points)
+        # What has no ground, such as the sky, has no coordinates.
+        visible = np.asarray(~self.unseen(points) & np.isfinite(points[:, :2]).all(axis=1))
         # In front of the camera, and not so near the horizon that a pixel has no end on the ground.
         return visible if self.view is None else \
             visible & self.view.holds(self.scaling.ground(points))

@@ -288,12 +288,12 @@ def transformation(source: str, target: str, *, strict: bool = True,
                    for_fit: bool = False) -> Transformation:
     """Return a function that transforms ground coordinates (n, 3) from one CRS to another.
 
-    If a CRS has no vertical datum, heights are taken as ellipsoidal, unknown ones as 0. Coordinates
-    that cannot be transformed are an error if `strict`, else they become infinite. A CRS on an
-    ellipsoid without a datum, as old maps have, is taken to be of the other's datum; a note says
-    so, but not for a fit, whose model takes up what a shift between datums does. Raises
-    TermselError for "local"; if pyproj, which is needed for all but WGS84 itself, is not installed
-    or cannot transform the CRS.
+    If a CRS has no vertical datum, heights are taken as ellipsoidal, unknown ones as 0; places of
+    which another coordinate is unknown stay unknown. Coordinates that cannot be transformed are an
+    error if `strict`, else they become infinite. A CRS on an ellipsoid without a datum, as old maps
+    have, is taken to be of the other's datum; a note says so, but not for a fit, whose model takes
+    up what a shift between datums does. Raises TermselError for "local"; if pyproj, which is needed
+    for all but WGS84 itself, is not installed or cannot transform the CRS.
     """
     source = normalise(source)
     target = normalise(target)
@@ -345,7 +345,10 @@ def transformation(source: str, target: str, *, strict: bool = True,
             turned = turn.transform(*known_heights.T, errcheck=strict)
         except ProjError as error:
             raise TermselError(f"{failure}: {error}", hint=_WRONG_CRS) from error
-        return np.stack(turned, axis=1)
+        positions = np.stack(turned, axis=1)
+        # A place that is not known stays unknown: at 0 it would be in the ocean.
+        positions[np.isnan(ground[:, :2]).any(axis=1)] = np.nan
+        return positions
 
     return convert
 
