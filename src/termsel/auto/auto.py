@@ -116,12 +116,14 @@ class Auto(Method):
         return choice.chosen
 
     def held_out(self, fitted: Fit) -> HeldOut:
-        """Return the errors of features where the choice is made again without them.
+        """Return the error of each feature when the whole choice is made again without it.
+
+        Many features are held out in folds.
 
         Raises
         ------
         Undetermined
-            If some fold leaves too little to choose by.
+            If the others are too few to choose by in some fold.
         """
         # The choice is repeated as a whole: errors under the chosen method alone are too small.
         data = FitData.of(fitted.control, fitted.model.uses_height)
@@ -149,7 +151,10 @@ class Auto(Method):
         return self._call(method, hook, lambda: getattr(method, hook)(*args))
 
     def _call(self, method: Method, hook: str, call: Callable[[], Any]) -> Any:
-        """Return what a hook of a method returns; None where it fails, which is told once."""
+        """Return what a hook of a method returns; None if it fails or has nothing to say.
+
+        A method that fails is remembered in `faults`, and not asked again.
+        """
         # What failed once is not asked again: it would slow the run and say the same.
         if method.name in self.faults:
             return None
@@ -194,7 +199,7 @@ class Auto(Method):
         return len(all_features) if len(data.features.lines) else len(all_features.points)
 
     def suspects(self, data: FitData) -> Suspects | None:
-        """Return which features contradict what some method knows; None if none shows."""
+        """Return the features that contradict what the first method that shows knows; else None."""
         answers = (self.ask(method, "suspects", data) for method in self.offered(data))
         return next((suspects for suspects in answers if suspects is not None), None)
 
@@ -280,12 +285,13 @@ class Auto(Method):
 
     @property
     def is_one_method(self) -> bool:
-        """Whether there is nothing to choose: one method is asked for."""
+        """Whether only one method is offered, so that nothing is chosen."""
         return len(self.methods) == 1
 
     def _choice_settled_by_features(self, candidates: Iterable[Method],
                                     data: FitData) -> Choice | None:
-        """Return the choice of the method that the features support alone, if one says so."""
+        """Return the choice of the first method that the features support alone; None if none is.
+        """
         for method in candidates:
             reason = self._settles(method, data)
             fitted = self.validated(method, data) if reason else None
@@ -294,7 +300,7 @@ class Auto(Method):
         return None
 
     def _settles(self, method: Method, data: FitData) -> str | None:
-        """Return why the features support a method alone, if they do.
+        """Return why the features support a method alone; None if they do not, or the method fails.
 
         Raises TermselError where the method says what the user must say first.
         """
@@ -323,7 +329,8 @@ class Auto(Method):
 
         Lines that add more error than redundancy are left out whole: where the points alone predict
         the points, each by the others, better by PRIOR_MARGIN standard errors. The control of the
-        chosen fit then has no lines. `watch` is told of the choice from all features alone.
+        chosen fit then has no lines. `watch` is told of the choice from all features alone. None as
+        for `choose`.
         """
         count = len(data.features.points)
         choice = self.choose(data, watch, with_contained=with_contained)
@@ -408,14 +415,16 @@ class Auto(Method):
         return errors
 
     def recall(self, question: Any, data: FitData, find: Callable[[], Any]) -> Any:
-        """Return what these methods found of equal features before, or find it."""
+        """Return the value that `find` gave for a question on equal features, or call it now."""
         key = question, self.methods, tuple(self.faults)
         return self.memory.recall(key, data, find, lambda: len(self.faults))
 
     def _errors_in_folds(self, data: FitData, watch: Watch, folds: int,
                          choice: Choice | None) -> FloatArray | None:
-        """Return the errors [px] of features by the choice without their fold; None if none is
-        left.
+        """Return errors [px] of points and line vertices, (m, 2), by choices without their fold.
+
+        None if the choice cannot be made without some fold. Errors of lines are multiplied by their
+        weights in the adjustment.
         """
         features = data.features
         order = spatial_order(ground_centres(features))
@@ -445,7 +454,10 @@ class Auto(Method):
 
     def _fitting_without(self, data: FitData, watch: Watch,
                          choice: Choice | None) -> Callable[[BoolArray], Fit | None]:
-        """Return what makes the choice again without some features, and returns its fit if any."""
+        """Return a function of a mask (n,) that makes the choice without these features.
+
+        It returns the fit of the method chosen, None if too few features remain.
+        """
         features = data.features
         if self.is_one_method:
             return partial(self._alone_without, data, watch)
@@ -476,7 +488,9 @@ class Auto(Method):
         return fit_without
 
     def _alone_without(self, data: FitData, watch: Watch, out: BoolArray) -> Fit | None:
-        """Return the fit of the only method without some features: there is nothing to choose by.
+        """Return the fit of the only method without some features; None if it fails.
+
+        There is nothing to choose by. `watch` is told of the fit.
         """
         fitted: Fit | None = self.ask(self.methods[0], "fit", _features_without(data, out))
         watch(fitted)
@@ -511,9 +525,9 @@ class Auto(Method):
 
 
 def _features_without(data: FitData, out: BoolArray) -> FitData:
-    """Return features without some, as plane where relief rests on one of the others.
+    """Return the features that are not `out`, (n,).
 
-    It shows nothing of those held out then.
+    They count as plane where relief rested on one of those out: it shows nothing of these.
     """
     rest = data.take(~out)
     return replace(rest, heights=rest.heights and not carriers(rest, limit=1))
@@ -530,7 +544,7 @@ they show an oblique view."""
 
 
 def minimal_fit(data: FitData) -> Choice:
-    """Return what two or three features determine: a similarity, or an affine polynomial.
+    """Return the exact fit to two features, a similarity, or to three, an affine polynomial.
 
     Raises Undetermined if three points lie on a line, or lines are parallel.
     """
@@ -581,6 +595,6 @@ def minimal_view(data: FitData, choice: Choice, auto: Auto) -> Choice:
 
 
 def _without_redundancy(method: Method, fitted: Fit) -> Fit:
-    """Return the fit of a method, of whose errors nothing is known."""
+    """Return the fit under its method, with NaN for each error of a feature held out."""
     unknown = HeldOut(np.full(len(fitted.control), np.nan))
     return replace(fitted, method=method, stored_held_out=unknown)

@@ -92,7 +92,7 @@ def find_blunders(control: FitData, auto: Auto | None = None) -> Suspects | None
 
 
 def _suspects_of(control: FitData, auto: Auto) -> Suspects | None:
-    """Return what the features say of each other: blunders, probable ones and open cases."""
+    """Return blunders, probable ones and open cases among features; None if they are too few."""
     everything = np.ones(len(control), dtype=bool)
     # Asked for at several places, if at all.
     test_of_all = cache(Division(control, everything).shrunken_test)
@@ -144,10 +144,10 @@ def _suspects_of(control: FitData, auto: Auto) -> Suspects | None:
 
 
 def _majority_and_test(control: FitData) -> tuple[BoolArray, Test] | None:
-    """Return the points that agree, and their test, where more than a third are blunders.
+    """Return the points that agree, (n,), and their test, where more than a third are blunders.
 
-    None where the usual search will do: the points that agree with a majority may predict others
-    as well, by more than the polynomial that found it.
+    None where the usual search will do: the points that agree with a majority may predict others as
+    well, by more than the polynomial that found it.
     """
     agreeing = majority(control)
     if agreeing is None:
@@ -165,7 +165,7 @@ def _majority_and_test(control: FitData) -> tuple[BoolArray, Test] | None:
 
 
 def _grow_majority(control: FitData, agreeing: BoolArray) -> tuple[BoolArray, Test] | None:
-    """Return the points of a majority and those that it predicts, and their test.
+    """Return the points of a majority and those that it predicts, (n,), and their test.
 
     The closest are admitted bit by bit, until the noise jumps: among many admitted at once blunders
     hide each other. None where the points are too few for a test.
@@ -195,7 +195,7 @@ def _grow_majority(control: FitData, agreeing: BoolArray) -> tuple[BoolArray, Te
 
 
 def agreement(control: FitData) -> BoolArray | None:
-    """Return which of few points agree, where more than a third contradict these.
+    """Return which of few points agree, (n,), where more than a third contradict these.
 
     None for many points, whose majority decides, and where no more than a third do.
     """
@@ -242,7 +242,7 @@ def _stands_out(errors: FloatArray) -> bool:
 
 
 def _points_a_model_explains(control: FitData, auto: Auto, suspected: BoolArray) -> BoolArray:
-    """Return which suspected points a parametric model of all other points predicts.
+    """Return which suspected points, (n,), a parametric model of all other points predicts.
 
     Polynomials and random fields follow an oblique view badly: what bends there is the image. A
     view that was fitted without the suspected points and predicts them shows that they are right.
@@ -267,7 +267,10 @@ def _is_parametric(fitted: Fit) -> bool:
 
 
 def _leave_out_probable_blunders(control: FitData, used: BoolArray, max_share: float) -> BoolArray:
-    """Leave out points that are likelier blunders than right, the likeliest one first each time."""
+    """Return the points in use, (n,), without those that are likelier blunders than right.
+
+    The likeliest is left out first, and the others are judged again, up to `max_share` of all.
+    """
     retained = used.copy()
     while (~retained).sum() < int(max_share * len(control)):
         # One at a time: without the worst, the next may look innocent.
@@ -279,7 +282,11 @@ def _leave_out_probable_blunders(control: FitData, used: BoolArray, max_share: f
 
 
 def _features_predicted_by(chosen: Fit, features: FeatureSet) -> BoolArray:
-    """Return the features that a fit predicts as it predicts those that it was made with."""
+    """Return which features, (n,), a fit predicts as well as those that it was made with.
+
+    None of them where there are lines and the fit is an average: the test was by the same
+    polynomial.
+    """
     averaged = isinstance(chosen.estimator, Averaging)
     if len(features.lines) and averaged:  # the test was by the same polynomial
         return np.zeros(len(features), dtype=bool)
@@ -293,7 +300,7 @@ def _features_predicted_by(chosen: Fit, features: FeatureSet) -> BoolArray:
 
 
 def _largest_errors(fitted: Fit, features: FeatureSet) -> FloatArray:
-    """Return the largest error of each feature in line or sample, or off its line [px]."""
+    """Return the largest error of each feature in line or sample, or off its line [px], (n,)."""
     largest = np.zeros(len(features))
     # A blunder is mostly one of line or of sample alone.
     rows = np.abs(fitted.errors(features.points)).max(axis=1)
@@ -328,7 +335,10 @@ def judge_others(chosen: Fit, heights: bool, other_points: Points,
 
 def _contradicting_features(all_features: FitData, is_other: BoolArray,
                             used: BoolArray) -> Suspects | None:
-    """Return which features that are other contradict all, beginning with those `used`."""
+    """Return which other features contradict the control, beginning with the features `used`.
+
+    None where even the core of all features is too small for a test.
+    """
     test_of_all = cache(Division(all_features, ~np.zeros_like(is_other)).shrunken_test)
     # Where those in use are too few for a test, the core of all features is.
     test = Division(all_features, used).shrunken_test()
@@ -377,7 +387,10 @@ def _agreeing_core(control: FitData, test_of_all: TestOfAll,
 
 
 def _features_with_weight(control: FitData, test_of_all: TestOfAll) -> BoolArray:
-    """Return the features that have weight under a robust quadratic polynomial."""
+    """Return the features that have weight under a robust quadratic polynomial, (n,).
+
+    If those without weight exceed MAX_BLUNDER_SHARE, that share with the largest strain has none.
+    """
     # A robust fit that throws out more than blunders may be has failed.
     weightless = _weightless(control)
     max_blunders = int(MAX_BLUNDER_SHARE * len(control))
@@ -391,7 +404,7 @@ def _features_with_weight(control: FitData, test_of_all: TestOfAll) -> BoolArray
 
 
 def _weightless(control: FitData) -> BoolArray | None:
-    """Return the features with a row of no weight; None if they are too few for a quadratic."""
+    """Return the features with a row of no weight, (n,); None if too few for a quadratic."""
     model = polynomial_of(control.heights, 2)
     equations = model.equations(control.scaled)
     # Without redundancy all residuals are 0, and so all weights 1.
@@ -406,7 +419,11 @@ def _weightless(control: FitData) -> BoolArray | None:
 
 def _readmit_predicted(control: FitData, used: BoolArray, test: Test, test_of_all: TestOfAll,
                        test_of: TestOf = Division.shrunken_test) -> tuple[BoolArray, Test]:
-    """Admit features again that those in use predict; leave out those they no longer do."""
+    """Return the features in use, (n,), and their test, when no more come and go.
+
+    Features that those in use predict are admitted again, those they no longer predict are left
+    out.
+    """
     n = len(control)
     earlier_sets = set[bytes]()
     # A set of features that comes back would come back for ever.
@@ -441,10 +458,10 @@ def _readmit_predicted(control: FitData, used: BoolArray, test: Test, test_of_al
 
 def _judge_by_field(control: FitData, used: BoolArray, test: Test,
                     max_share: float = MAX_BLUNDER_SHARE) -> tuple[BoolArray, Test]:
-    """Judge again by a random field, where the points in use support one.
+    """Return the features in use, (n,), and the test, judged again by a random field of the points.
 
-    Local deformation is no blunder, and what is small next to the error of a polynomial may be
-    one.
+    Local deformation is no blunder, and what is small next to the error of a polynomial may be one.
+    Both are returned as they were where the points in use support no field.
     """
     n = len(control)
     earlier_sets = set[bytes]()

@@ -51,7 +51,7 @@ class Comparison:
 
     @property
     def method(self) -> Method | None:
-        """The method that is chosen."""
+        """The method that is chosen; None without a choice."""
         return self.choice.method if self.choice else None
 
     def baselines(self, observations: Observations) -> tuple[Baseline, ...]:

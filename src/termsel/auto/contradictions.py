@@ -66,17 +66,20 @@ class Test:
     by_field: bool = False  # whether a random field predicts
 
     def far(self, n: int) -> BoolArray:
-        """Return the features whose error is beyond chance."""
+        """Return which of n features have an error beyond chance, (n,)."""
         return (self.probability
                 < FALSE_ALARM / n) & (self.strain > MIN_STRAIN) & (self.errors > NEGLIGIBLE_ERROR)
 
     def decided(self) -> BoolArray:
-        """Return the features whose error exceeds what their place allows."""
+        """Return which features have an error larger than their place alone explains, (n,).
+
+        Where a feature is predicted from afar, its `spread` is large, and so must its strain be.
+        """
         return self.strain > STRAIN_PER_SPREAD * self.spread
 
     def suspects(self, blunders: BoolArray, probable: BoolArray, undecided: BoolArray,
                  judged: BoolArray) -> Suspects:
-        """Return what is found of some of the features."""
+        """Return the findings on the `judged` features, in their order; all masks are (n,)."""
         # Where `chance_of` is that: of normal errors one is as large at any of these features.
         # The inverse of (1 + 2 s^2 / f)^(-f/2): the strain whose chance is FALSE_ALARM / n.
         threshold = np.sqrt(self.freedom / 2
@@ -121,14 +124,17 @@ class Division:
                                     3 if self.all_features.heights else 2)
 
     def test(self) -> Test | None:
-        """Return what the features in use predict, by a random field where points support it.
+        """Return the test by a random field where points support one, else by `shrunken_test`.
 
-        Else by `shrunken_test`.
+        None where the features in use are too few for either.
         """
         return self.local_test() or self.shrunken_test()
 
     def local_test(self) -> Test | None:
-        """Return what points in use predict by a random field; None where they support none."""
+        """Return the test by a random field of the points in use.
+
+        None where they do not support one, and where there are lines.
+        """
         if len(self.all_features.features.lines):
             return None
         process = self._gaussian_process
@@ -157,9 +163,9 @@ class Division:
                     (pixels[used] ** 2).sum(axis=1), by_field=True)
 
     def shrunken_test(self) -> Test | None:
-        """Return what the features in use predict, by the regularised polynomial of degree 2 or 3.
+        """Return the test by the regularised quadratic, or cubic if that is clearly better.
 
-        None where they are too few.
+        None where the features in use are too few.
         """
         if len(self.all_features.features.lines):
             return _clearly_better_of(*(_test_of_lines(self, degree) for degree in (2, 3)))
@@ -228,7 +234,10 @@ _Squares = TypeVar("_Squares", Test, "_PointPrediction")
 
 
 def _clearly_better_of(quadratic: _Squares | None, cubic: _Squares | None) -> _Squares | None:
-    """Return the cubic if its squared errors are clearly smaller, else the quadratic."""
+    """Return the cubic if its squared errors are clearly smaller, else the quadratic.
+
+    If one of them is None, the other is returned; None if both are.
+    """
     if quadratic is None or cubic is None:
         return cubic or quadratic
     # Clearly: by so many standard errors of the difference.
@@ -278,7 +287,7 @@ class _PointPrediction:
 
 
 def _prediction_of_points(division: Division, degree: int) -> _PointPrediction | None:
-    """Return what a regularised polynomial of the points in use predicts; None if too few."""
+    """Return the predictions of a regularised polynomial of the points in use; None if too few."""
     points = division.all_features.features.points
     used = division.used
     scaling = division.in_use.scaling
@@ -297,7 +306,10 @@ def _prediction_of_points(division: Division, degree: int) -> _PointPrediction |
 
 
 def _test_of_lines(division: Division, degree: int) -> Test | None:
-    """Test points and lines, without factors of single terms: many tests are made."""
+    """Return the test of points and lines by a regularised polynomial; None if too few are in use.
+
+    Scales have no random factor for each term, as many tests are made.
+    """
     control = division.all_features
     used = division.used
     scaling = division.in_use.scaling

@@ -37,7 +37,10 @@ class _Projects(Polynomial):
 
     def predict(self, coefficients: FloatArray, control: FeatureSet,
                 ground: FloatArray) -> FloatArray:
-        """Return scaled image positions, whatever the coefficients are."""
+        """Return the function's image positions, scaled, (..., n, 2), for ground (n, 3).
+
+        The coefficients (..., k) only give the shape; the function has none.
+        """
         scaling = self.scaling
         projection = self.projection
         assert scaling is not None
@@ -133,7 +136,10 @@ class FunctionMethod(Method):
             self._call_function, fitted.control, heights=fitted.model.uses_height)
 
     def _call_function(self, data: FitData) -> Fit:
-        """Return what the function makes of features, with an affine polynomial next to it."""
+        """Return the fit that projects by the user's function, with the terms of an affine model.
+
+        Raises PluginFault where the function fails, or its value cannot project.
+        """
         features = data.features
         with blamed(self.function, "fit"):
             returned = self.function(features)

@@ -133,7 +133,7 @@ def majority(control: FitData) -> BoolArray | None:
 
 def _majority_over_blunders(design: FloatArray, scaled: Points,
                             half: BoolArray) -> BoolArray | None:
-    """Return which points (n,) agree with a half, if more than a third are gross blunders."""
+    """Return which points (n,) agree with a half if over a third are gross blunders; else None."""
     n = len(half)
     agreeing, strains = _points_agreeing_with(design, scaled.image, half)
     minority = ~agreeing
@@ -147,7 +147,7 @@ def _majority_over_blunders(design: FloatArray, scaled: Points,
 
 def _halves_contradict(design: FloatArray, image: FloatArray, closest: BoolArray,
                        sampled: IntArray) -> bool:
-    """Return whether the closest half of sampled points leaves far less noise than all of them."""
+    """Return whether sampled points have far more noise together than their closest half has."""
     columns = design[sampled]
     noise_of_half, _ = _noise_and_strains(columns, image[sampled], closest)
     noise_of_all, _ = _noise_and_strains(columns, image[sampled], np.ones(len(sampled), dtype=bool))
@@ -194,7 +194,8 @@ def is_outvoted(data: FitData, minority: BoolArray, test: Test) -> bool:
 
 
 def _regularised_fits(data: FitData, half: BoolArray) -> Iterator[tuple[BoolArray, Test]]:
-    """Yield which points each regularised polynomial is of, from a half on, and its test of all."""
+    """Yield the points of each regularised polynomial, (n,), from a half on, and its test of all.
+    """
     used = half
     earlier_sets = set[bytes]()
     while used.tobytes() not in earlier_sets and len(earlier_sets) < REGULARISED_STEPS:
@@ -268,7 +269,8 @@ def _best_random_halves(design: FloatArray, image: FloatArray,
 
 def _concentrate_half(design: FloatArray, image: FloatArray,
                       half: BoolArray) -> tuple[float, BoolArray]:
-    """Return the trimmed squares, and their half, that refitting leads to."""
+    """Return the least sum of trimmed squares that refitting a half leads to, and its half, (n,).
+    """
     n = len(design)
     least = np.inf
     for _ in range(STEPS):
@@ -367,7 +369,7 @@ def _are_interleaved(ground: FloatArray, agreeing: BoolArray) -> bool:
 
 
 def _rows_spread_over_table(rows: FloatArray) -> FloatArray:
-    """Return all of few rows, else as many as are looked at, spread over the order of the table."""
+    """Return MAX_SAMPLED_POINTS rows, evenly spread over the order of the table; all of fewer."""
     return rows[np.linspace(0, len(rows) - 1, min(len(rows), MAX_SAMPLED_POINTS)).astype(np.intp)]
 
 

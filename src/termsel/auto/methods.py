@@ -92,11 +92,12 @@ class Structure(Method):
             self.estimator.fit(model, data.features, data.scaling, terms, used))
 
     def model(self, heights: bool) -> SensorModel | None:
-        """Return the model for features with heights, or without."""
+        """Return the model for features with heights, or without; None if the structure has none.
+        """
         return self.with_heights if heights else self.without
 
     def nearly(self, data: FitData) -> bool:
-        """Return False: what all features do not determine, parts do not either."""
+        """Return False: features that do not determine a structure do not in parts either."""
         return False
 
     def size(self, heights: bool) -> float:
@@ -272,5 +273,5 @@ BY_NAME: dict[str, Structure] = {method.name: method for method in METHODS}
 
 
 def named(name: str) -> Structure:
-    """Return the built-in method of a name that there is."""
+    """Return the built-in method of a name, such as "affine"; KeyError without one."""
     return BY_NAME[name]

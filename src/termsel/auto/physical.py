@@ -161,14 +161,15 @@ def prior_evidence(points: Points, scaling: Scaling, crs: str,
 
 def camera_average(points: Points, scaling: Scaling, crs: str,
                    exponents: Exponents) -> CameraAverage | None:
-    """Return the average for scaled control points, as `prior_evidence` does the evidence."""
+    """Return the average for scaled control points; None as for `prior_evidence`."""
     return _cached_camera_average(Measurements.of(points), scaling, crs, exponents)
 
 
 @lru_cache(maxsize=2)
 def _cached_evidence(measurements: Measurements, scaling: Scaling, crs: str,
                      exponents: Exponents) -> PriorEvidence | None:
-    """Return the same; the average asks for it again."""
+    """Return what `prior_evidence` does, None as there; cached for the average, which asks again.
+    """
     # Each of these steps needs the one before; any of them may say that there is no prior.
     points = measurements.points
     variables = 3 if any(power[2] for power in exponents) else 2
@@ -199,7 +200,8 @@ def _cached_evidence(measurements: Measurements, scaling: Scaling, crs: str,
 @lru_cache(maxsize=2)
 def _cached_camera_average(measurements: Measurements, scaling: Scaling, crs: str,
                            exponents: Exponents) -> CameraAverage | None:
-    """Return the same; a fit, what describes it and its spread ask for one."""
+    """Return what `camera_average` does; cached, as a fit, its description and its spread need it.
+    """
     points = measurements.points
     evidence = _cached_evidence(measurements, scaling, crs, exponents)
     if evidence is None:
@@ -232,7 +234,11 @@ def _cached_camera_average(measurements: Measurements, scaling: Scaling, crs: st
 
 
 def _mean_without_each(logs: FloatArray, errors: FloatArray) -> FloatArray:
-    """Return the errors of each point left out, (n, 2), averaged by what its others say, (p, n)."""
+    """Return the mean error of each point left out, (n, 2), over p solutions.
+
+    Each has the errors (p, n, 2), and the log evidence of all other points as its weight, `logs`
+    (p, n).
+    """
     return np.asarray(np.einsum("pn,pna->na", normalized(logs)[0], errors))
 
 
@@ -378,19 +384,22 @@ class PinholeCamera(Estimator):
         """Fit a projection (see `Estimator.fit`) with all its terms."""
         assert isinstance(model, Projective)
         in_use = control.take(used)
-        return self._written(pinhole_of(scaling.features(in_use), scaling), model, control,
-                             scaling, used)
+        return self._fit_of_camera(pinhole_of(scaling.features(in_use), scaling), model, control,
+                                   scaling, used)
 
     def refit(self, fitted: Fit, control: FeatureSet) -> Fit:
         """Return the camera of other control points that is next to that of a fit."""
         assert isinstance(fitted.model, Projective)
         camera = pinhole_near(_camera_of(fitted), fitted.scaling.features(control), fitted.scaling)
-        return self._written(camera, fitted.model, control, fitted.scaling,
-                             np.ones(len(control), dtype=bool))
+        return self._fit_of_camera(camera, fitted.model, control, fitted.scaling,
+                                   np.ones(len(control), dtype=bool))
 
-    def _written(self, camera: Pinhole | None, model: Projective, control: FeatureSet,
-                 scaling: Scaling, used: BoolArray) -> Fit:
-        """Return the fit that a camera is of the points in use."""
+    def _fit_of_camera(self, camera: Pinhole | None, model: Projective, control: FeatureSet,
+                       scaling: Scaling, used: BoolArray) -> Fit:
+        """Return the Fit of a camera to the points in use, (n,).
+
+        Raises Undetermined without a camera.
+        """
         if camera is None:
             raise Undetermined("no camera in front of all control points was found",
                                hint="Choose another model, such as dlt or projective.")
@@ -419,7 +428,7 @@ class PinholeCamera(Estimator):
 
 
 def may_be_oblique(features: FeatureSet) -> bool:
-    """Return whether scaled points may be of an oblique view, as quickly as it can be said."""
+    """Return whether scaled points may be of an oblique view, by a quick test."""
     points = features.points
     if len(features.lines) or not PINHOLE_MIN_POINTS <= len(points) <= PINHOLE_MAX_POINTS:
         return False
@@ -447,7 +456,7 @@ def call_for_camera(features: FeatureSet, scaling: Scaling) -> bool:
 
 
 def _affine_deviation(points: Points, *, heights: bool) -> float:
-    """Return the standard deviation of what an affine polynomial leaves of scaled points."""
+    """Return the deviation of scaled points from an affine polynomial; 0.0 without redundancy."""
     ground = points.ground[:, :3 if heights else 2]
     columns = np.column_stack([np.ones(len(points)), ground])
     coefficients, _, rank, _ = np.linalg.lstsq(columns, points.image)

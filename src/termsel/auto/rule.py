@@ -112,13 +112,13 @@ def folds_of(features: FeatureSet) -> int:
 
 
 def held_out_lines(count: int) -> tuple[int, int]:
-    """Return the first and the last of so many lines that are left out."""
+    """Return the first and the last of `count` lattice lines that are held out; edges are kept."""
     edge = 2 if count > 2 * FEWEST_LINES else 1
     return edge, count - 1 - edge
 
 
 def folds_along(count: int) -> int:
-    """Return in how many folds so many lines are left out."""
+    """Return the number of folds in which `count` lattice lines are held out."""
     first, last = held_out_lines(count)
     return min(FOLDS_OF_LATTICE, last - first + 1)
 
@@ -226,7 +226,10 @@ def best_of(fits: Iterable[Fit], describe: Describe = lambda _: None) -> Choice 
 
 
 def fit_to_beat(priors: Sequence[Fit]) -> tuple[Fit, list[str]]:
-    """Return which fit with a prior is to be beaten, and what decided among them."""
+    """Return the fit with a prior that others must beat, and sentences on why it is that one.
+
+    There are none where it is the only one, or a limit of each other.
+    """
     base = priors[0]
     reasons: list[str] = []
     for fitted in priors[1:]:
@@ -291,7 +294,7 @@ def _equally_sure_margin(base: Fit) -> float:
 
 def _reason_for_choice(chosen: Fit, base: Fit, reasons: Sequence[str], alternatives: Sequence[Fit],
                        compared: Iterable[Fit]) -> str:
-    """Return why a method is chosen, after what is said of those with a prior."""
+    """Return sentences on why a method is chosen, beginning with those on methods with a prior."""
     sentences = list(reasons)
     if alternatives:
         nearest = chosen if chosen is not base else max(

@@ -113,9 +113,10 @@ def select_forward(columns: FloatArray, target: FloatArray,
 
 
 def _factors_without_folds(rows: FloatArray, fold: IntArray) -> FloatArray:
-    """Return the triangular factors of all rows but those of each fold, and at the end of all.
+    """Return the triangular factors of all rows but those of each fold, (folds + 1, r, k + 1).
 
-    Of many rows, folds are taken in groups, each of which is factored once.
+    The last one is of all rows. Of many rows, folds are taken in groups, each of which is factored
+    once.
     """
     folds = int(fold.max()) + 1
     if len(rows) == folds:  # few: one call is faster
@@ -189,7 +190,8 @@ def _selected_terms(systems: FloatArray, equations: FloatArray, forced: int,
 
 def _errors_of_folds(rows: FloatArray, fold: IntArray, systems: FloatArray,
                      best: BoolArray) -> FloatArray:
-    """Return the errors of rows, shape (n, k + 1), by what was selected without their fold."""
+    """Return the error of each row (n, k + 1), shape (n,), by the terms selected without its fold.
+    """
     errors = np.empty(len(rows))
     # Most folds select the same terms, and are solved together.
     masks, mask_of_fold = np.unique(best, axis=0, return_inverse=True)

@@ -209,7 +209,10 @@ def _weight(name: str) -> float:
 
 def _ridge(columns: FloatArray, target: FloatArray,
            weights: FloatArray) -> tuple[FloatArray, float]:
-    """Return coefficients and their effective number."""
+    """Return ridge coefficients, (k,), whose penalty is chosen by GCV, and their effective number.
+
+    Coefficients of weight 0, (k,), are not penalised.
+    """
     free = weights == 0
     x = np.zeros(columns.shape[1])
     free_columns = columns[:, free]
@@ -255,7 +258,7 @@ def required_probability(process: GaussianProcess) -> float:
 
 
 def interpolated(model: SensorModel, control: FeatureSet, scaling: Scaling) -> Interpolation | None:
-    """Return what a model predicts from control points; None where they are too few."""
+    """Return the interpolation of control points by a model; None where they are too few."""
     return model.prepared(scaling, control.crs).interpolation(scaling.features(control))
 
 
@@ -290,7 +293,10 @@ class Interpolated(Estimator):
 
 
 def points_alone(control: FeatureSet, used: BoolArray, taker: str) -> Points:
-    """Return the points in use (n,), and refuse lines for what does not take them, in words."""
+    """Return the points in use (n,).
+
+    Raises Undetermined if there are lines, which `taker`, named in the message, does not take.
+    """
     if len(control.lines):
         raise Undetermined(f"{taker} takes control points alone, and there are control lines",
                            hint="Leave the lines out, or choose another model.")

@@ -78,7 +78,7 @@ class DemDifference:
         return abs(self.above) > BEYOND * self.sigma
 
     def sentence(self, pixels: float | None = None) -> str:
-        """Return it as one sentence, with what it does to a map [px], where that is known."""
+        """Return the difference as one sentence, with its effect on a map [px] if that is known."""
         effect = "" if pixels is None else f": {_rounded_in_words(pixels)} px on a map" \
             if pixels >= _VISIBLE else ", of which this model makes no use"
         evidence = (f"median of {counted(self.count, 'height')}, standard deviation "
@@ -89,9 +89,9 @@ class DemDifference:
 
 def off_as_a_whole(above: float, reference: str, evidence: str, effect: str = "", dem: str = "",
                    cause: str = "") -> str:
-    """Return in a sentence that a DEM is so much above something [m], and what may be the cause.
+    """Return a sentence on a DEM that lies `above` a reference [m], and why it may.
 
-    The cause is that which such a difference usually has, if none is given.
+    Without a `cause` it names the usual one of such a difference.
     """
     cause = cause or (GEOID if abs(above) <= _MAX_GEOID_HEIGHT else NO_DEM)
     direction = "above" if above > 0 else "below"

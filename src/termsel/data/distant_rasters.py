@@ -82,7 +82,11 @@ class DistantRaster:
         return value
 
     def _ask(self, work: Callable[..., Any] | str, *values: Any, **named: Any) -> Any:
-        """Return what a function of a module makes of the dataset and further values."""
+        """Return the result of a function or method for the dataset and further values.
+
+        The process of GDAL calls it, and its error is raised here. TermselError if that process has
+        ended.
+        """
         try:
             answer, cause = self._helper.ask(pickle.dumps(self._question(work, values, named)))
         except ProcessEndedError as error:
@@ -156,5 +160,5 @@ def _value_of(dataset: Any, name: str) -> tuple[bool, Any]:
 
 
 def _result_of(dataset: Any, name: str, *values: Any, **named: Any) -> Any:
-    """Return what a method returns."""
+    """Return the result of a method of a dataset."""
     return getattr(dataset, name)(*values, **named)

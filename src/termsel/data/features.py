@@ -301,19 +301,19 @@ class FeatureSet(Glance):
 
     @property
     def word(self) -> str:
-        """What messages call them."""
+        """The word that messages use: "points", or "features" if there are lines."""
         return "features" if len(self.lines) else "points"
 
     @property
     def feature(self) -> IntArray:
-        """The feature each point, then each line, belongs to; counted from 0, points first."""
+        """The feature of each point, then of each line, (n + m,); counted from 0, points first."""
         n = len(self.points)
         # A point is a feature of its own; lines go on counting after the points.
         return np.concatenate([np.arange(n), n + self.lines.feature])
 
     @property
     def vertex_feature(self) -> IntArray:
-        """The feature each point, then each vertex of the lines, belongs to."""
+        """The feature of each point, then of each vertex of the lines, (n + 2 m,)."""
         n = len(self.points)
         return np.concatenate([np.arange(n), n + np.repeat(self.lines.feature, 2)])
 

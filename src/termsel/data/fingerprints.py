@@ -25,14 +25,14 @@ _LARGEST_DEGREES = 360.0
 
 
 def made_by(rpc: Rpc, control: FeatureSet) -> Rpc:
-    """Return an RPC that says that it was fitted to control, after what it was fitted to before."""
+    """Return an RPC that keeps a record of the control it was fitted to, and of any before that."""
     digests = {digest for pair in _vertex_digests(control) for digest in pair}
     return replace(rpc, control_count=rpc.control_count + len(control),
                    control_digests=tuple(sorted(digests.union(rpc.control_digests))[:KEPT]))
 
 
 def makers_of(rpc: Rpc, features: FeatureSet) -> list[str]:
-    """Return the ids of features that an RPC was fitted to, as far as it says so."""
+    """Return the ids of features that an RPC was fitted to by its own record; [] without one."""
     if not rpc.control_digests:
         return []
     known = set(rpc.control_digests)

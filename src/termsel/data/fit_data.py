@@ -81,7 +81,8 @@ class FitData:
 
     @property
     def lattice(self) -> Lattice | None:
-        """The lattice that the features are, as a processor computes them, if they are one."""
+        """The lattice that the points form, as a processor computes them; None if they form none.
+        """
         return None if len(self.features.lines) else lattice_of(self.features.points)
 
     @property
@@ -90,12 +91,12 @@ class FitData:
         return self.scaling.features(self.features)
 
     def take(self, mask: BoolArray) -> Self:
-        """Return some of the features, with a scaling of their own; itself where all are taken."""
+        """Return some of the features, with a scaling of their own; the same object if all are."""
         return self if mask.all() else self.of(self.features.take(mask), self.heights)
 
 
 def heights_differ(control: FitData) -> bool:
-    """Return whether all features have heights, and these show what a height does."""
+    """Return whether all features have heights that differ enough to show their effect."""
     if control.features.without_height():
         return False
     plane, z, _ = _vertices(control)
@@ -209,7 +210,7 @@ def _tell(off_plane_heights: FloatArray, effects: FloatArray, noise: float) -> b
 
 
 def _effects_and_noise(control: FitData) -> tuple[FloatArray, float]:
-    """Return what a scaled height does at each point and vertex [px], (n,), and the noise [px]."""
+    """Return the effect of a scaled height of 1 at each vertex [px], (n,), and the noise [px]."""
     scaled = control.scaling.ground(control.features.ground_vertices())
     return _effects(control, scaled), _noise(control)
 
@@ -246,9 +247,9 @@ def _noise(control: FitData) -> float:
 
 
 def _effects(control: FitData, scaled: FloatArray) -> FloatArray:
-    """Return the standard deviation of what a scaled height of 1 does at scaled places [px], (n,).
+    """Return the deviation of the effect of a scaled height of 1 at scaled places [px], (n,).
 
-    In an oblique view it does more the nearer a place is to the camera.
+    In an oblique view it is larger the nearer a place is to the camera.
     """
     view = _view(control)
     effect = _effect(control)
@@ -266,7 +267,7 @@ def _view(control: FitData) -> CentralView | None:
 
 
 def _effect(control: FitData) -> float:
-    """Return the standard deviation of what a scaled height of 1 does to the image [px].
+    """Return the standard deviation of the effect of a scaled height of 1 on the image [px].
 
     Infinite for geocentric coordinates, whose Z is no height.
     """
@@ -283,7 +284,8 @@ def _effect(control: FitData) -> float:
 
 
 def _vertices(control: FitData) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Return columns of a plane, scaled heights and the feature of each point and vertex."""
+    """Return, of the v vertices, columns of a plane (v, 3), scaled heights (v,) and feature (v,).
+    """
     scaled = control.scaling.ground(control.features.ground_vertices())
     return _plane_at(scaled), scaled[:, 2], control.features.vertex_feature
 
@@ -293,6 +295,7 @@ def _plane_at(scaled: FloatArray) -> FloatArray:
 
 
 def _about_plane(plane: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return how far heights are off the closest plane, and 1 minus the leverage of each."""
+    """Return how far heights (v,) are off the closest plane, (v,), and 1 - leverage of each, (v,).
+    """
     q = np.linalg.qr(plane)[0]
     return z - q @ (q.T @ z), np.maximum(1.0 - (q**2).sum(axis=1), np.finfo(float).eps)

@@ -66,12 +66,12 @@ def locate(
 
 def _newton(project: Projection, image: FloatArray, ground: FloatArray, unit: FloatArray,
             inverse: FloatArray) -> FloatArray:
-    """Return ground points at their heights, moved until they project to the image points.
+    """Return ground points (n, 3) at their heights, moved until they project to the image points.
 
-    `inverse`, the moves on the ground for 1 px, hardly changes over an image. It is renewed
-    only for points that do not converge. In an oblique view it does change, and a step may end
-    behind the camera. Such a step is made again from where it began, by half of it where need be,
-    and so are all further ones of the point.
+    `inverse`, the moves on the ground for 1 px, hardly changes over an image. It is renewed only
+    for points that do not converge. In an oblique view it does change, and a step may end behind
+    the camera. Such a step is made again from where it began, by half of it where need be, and so
+    are all further ones of the point.
     """
     ground, oblique = ground.copy(), np.zeros(len(ground), dtype=bool)
     with np.errstate(all="ignore"):
@@ -100,7 +100,7 @@ def _newton(project: Projection, image: FloatArray, ground: FloatArray, unit: Fl
 
 def _after_shortened_steps(project: Projection, image: FloatArray, ground: FloatArray,
                            error: FloatArray, unit: FloatArray) -> FloatArray:
-    """Return ground points moved by their own Newton steps, or by shares of these that help.
+    """Return ground points (n, 3) moved by their own Newton steps, or by shares that help.
 
     A step is halved until it makes the error smaller; a point that no share helps stays.
     """
@@ -132,9 +132,10 @@ def _inverse(project: Projection, ground: FloatArray, unit: FloatArray) -> Float
 
 def _meet(project: Projection, image: FloatArray, surface: Surface, ground: FloatArray,
           unit: FloatArray, inverse: FloatArray) -> FloatArray:
-    """Return ground points moved along their rays onto the surface."""
+    """Return ground points (n, 3) moved along their rays onto the surface."""
     def moved(rays: IntArray, height: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return places of rays at heights, and how far the surface lies above them."""
+        """Return places of rays at heights, (r, 3), and how far the surface lies above them, (r,).
+        """
         places = ground[rays]
         places[:, 2] = height
         places = _newton(project, image[rays], places, unit, inverse[rays])

@@ -82,6 +82,7 @@ def _kept_monomials(ground: bytes, exponents: Exponents) -> FloatArray:
 
 
 def _monomials(ground: FloatArray, exponents: Exponents) -> FloatArray:
+    """Return X^i Y^j Z^k of ground (n, 3) for each triple of exponents, (n, terms)."""
     highest = max(max(e) for e in exponents)
     # powers[i] = ground^i, by products: a power function is slower and rounds otherwise.
     powers = np.ones((highest + 1, *ground.shape))

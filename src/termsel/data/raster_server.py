@@ -53,7 +53,10 @@ def _pickle_answer(answer: tuple[Any, BaseException | None]) -> bytes:
 
 
 def _answer(asked: bytes) -> tuple[Any, BaseException | None]:
-    """Return the answer to a question, or the error and its cause, which pickle would leave out."""
+    """Return the answer to a question and None, or the error and its cause.
+
+    Pickle would leave the cause of an error out.
+    """
     from rasterio import Env
 
     try:
@@ -61,14 +64,14 @@ def _answer(asked: bytes) -> tuple[Any, BaseException | None]:
         # Names within a raster count from the folder in which it was opened.
         os.chdir(question.folder)
         with Env(**question.settings):
-            answer = _done(question)
+            answer = _answer_of_dataset(question)
             return (list(answer) if isinstance(answer, Generator) else answer), None
     except Exception as error:  # noqa: BLE001 - raised again in the process that asked
         return error, error.__cause__
 
 
-def _done(question: Question) -> Any:
-    """Return what was asked for."""
+def _answer_of_dataset(question: Question) -> Any:
+    """Return the result of opening or closing a raster, or of a function of its dataset."""
     if question.work == OPEN_RASTER:
         return _open(question.number, *question.values)
     if question.work == CLOSE_RASTER:

@@ -227,7 +227,8 @@ def gdal_name(path: Path | str) -> Path | str:
 
 
 def _refuse_named_by(name: str) -> None:
-    """Refuse a source of an open raster whose metadata name what may not be opened."""
+    """Raise TermselError if the metadata of an open raster's source name a file not to be opened.
+    """
     import rasterio
 
     try:

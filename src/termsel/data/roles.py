@@ -163,7 +163,10 @@ class Split:
 
     def roles(self, ids: tuple[str, ...], ground: FloatArray, shares: FloatArray,
               rng: np.random.Generator) -> tuple[str, ...]:
-        """Return a role for each point; refuse, naming the plugin, what are none."""
+        """Return a role for each point.
+
+        Raises PluginFault, naming the plugin, if it assigns other than one role each.
+        """
         with blamed(self.assign, "assign"):
             assigned = self.assign(ids, ground.copy(), shares.copy(), rng)
         if isinstance(assigned, str) or not isinstance(assigned, Sequence | np.ndarray) \
@@ -257,7 +260,7 @@ class Observations:
 
     @cached_property
     def pool(self) -> FitData:
-        """What a choice is made from: the features of `together`, twins merged."""
+        """The features among which a choice is made: those of `together`, twins merged."""
         features = merged(self.together)
         return (replace(self.joint, heights=self.heights) if features is self.together
                 else FitData.of(features, self.heights))
@@ -411,9 +414,9 @@ def observe(
 
 @lru_cache(maxsize=2)
 def _order_and_labels(features: FeatureSet) -> tuple[FeatureSet, IntArray]:
-    """Return features in order, without jumps, and labels of those that share a role.
+    """Return features in order, without jumps, and a label of each point, (n,).
 
-    Cells of a study share theirs.
+    Points of one label share a role: twins, or a line of a lattice. Cells of a study share theirs.
     """
     features = without_jump(in_order(features))
     lattice = None if len(features.lines) else lattice_of(features.points)
@@ -435,7 +438,10 @@ def _order(names: Sequence[str]) -> list[int]:
 
 
 def _natural_sort_key(name: str) -> tuple[list[tuple[int, str]], str]:
-    """Return what sorts numbers in a name by their value; names that differ sort apart."""
+    """Return a sort key by which numbers in a name count by their value: A2 is before A10.
+
+    Names that differ have different keys.
+    """
     # Of two numbers without leading zeros the longer one is larger, however long they are.
     pieces = [piece.lstrip("0") if i % 2 else piece for i, piece in enumerate(_NUMBER.split(name))]
     return [(len(piece) if i % 2 else 0, piece) for i, piece in enumerate(pieces)], name

@@ -105,7 +105,7 @@ class Rpc:
                 raise TermselError(f"a scale of the RPC is 0: {getattr(self, name)}")
 
     def as_delivered(self) -> Self:
-        """Return the RPC without what it was fitted to: one that stands for a vendor's."""
+        """Return the RPC without the record of its control, as if a vendor had delivered it."""
         return replace(self, control_count=0, control_digests=())
 
     def numbers(self) -> RpcNumbers:

@@ -64,7 +64,7 @@ class Scaling:
     x_turn: float = 0.0
 
     def ground(self, ground: ArrayLike) -> FloatArray:
-        """Return scaled ground coordinates; unknown heights become 0."""
+        """Return scaled ground coordinates, (..., 3); unknown heights become 0."""
         fitted = in_fit_crs(np.asarray(ground, dtype=np.float64), self.crs, self.fit_crs)
         # Scaled coordinate = (coordinate - offset) / scale.
         away = fitted - self.ground_offset
@@ -78,16 +78,16 @@ class Scaling:
             scaled, nan=0.0, posinf=_NO_PLACE, neginf=-_NO_PLACE)
 
     def unscaled(self, ground: ArrayLike) -> FloatArray:
-        """Return ground coordinates from scaled ones."""
+        """Return ground coordinates from scaled ones, (..., 3)."""
         fitted = np.asarray(ground) * self.ground_scale + self.ground_offset
         return in_fit_crs(fitted, self.fit_crs, self.crs)
 
     def image(self, image: ArrayLike) -> FloatArray:
-        """Return scaled image coordinates."""
+        """Return scaled image coordinates, (..., 2)."""
         return np.asarray((np.asarray(image) - self.image_offset) / self.image_scale)
 
     def pixels(self, scaled: ArrayLike) -> FloatArray:
-        """Return image coordinates [px] from scaled ones."""
+        """Return image coordinates [px] from scaled ones, (..., 2)."""
         return np.asarray(np.asarray(scaled) * self.image_scale + self.image_offset)
 
     def points(self, points: _Table) -> _Table:
@@ -126,7 +126,7 @@ class Scaling:
 
 @lru_cache(maxsize=8)
 def _scaled(scaling: Scaling, features: FeatureSet) -> FeatureSet:
-    """Return scaled features, the same ones again: many models are fitted to the same control."""
+    """Return scaled features; cached, as many models are fitted to the same control."""
     return replace(features, points=scaling.points(features.points),
                    lines=scaling.lines(features.lines))
 
@@ -172,7 +172,8 @@ def scaling_of(features: FeatureSet) -> Scaling:
 
 
 def metres_of(features: FeatureSet, scaling: Scaling) -> FloatArray | None:
-    """Return how many metres a scaled step is along X, Y, Z; None for geocentric coordinates."""
+    """Return the metres of a scaled step along X, Y and Z, (3,); None for geocentric coordinates.
+    """
     crs = features.fit_crs or features.crs
     # From the middle of the box one scaled step along each axis, measured in the plane.
     corners = np.array(scaling.ground_offset) + np.diag(scaling.ground_scale)

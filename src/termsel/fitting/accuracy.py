@@ -364,7 +364,8 @@ def accuracy_of(fitted: Fit, independent: Points) -> Accuracy | None:
 
 
 def _ground_errors(fitted: Fit, points: Points) -> FloatArray | None:
-    """Return computed minus given ground positions [m]; None where they are not all known."""
+    """Return computed minus given ground positions [m], (n, 2); None where they are not all known.
+    """
     heights = np.nan_to_num(points.ground[:, 2]) if not fitted.model.uses_height \
         else points.ground[:, 2]
     offsets = (fitted.locate(points.image, heights) - points.ground)[:, :2]
@@ -385,7 +386,8 @@ def nssda(points: int, ground: OnGround | None) -> StandardFigure:
 
 
 def asprs(points: int, ground: OnGround | None) -> StandardFigure:
-    """Return the horizontal RMSE by ASPRS 2024, which has words of its own for fewer points."""
+    """Return the horizontal RMSE by ASPRS 2024 [m], or why there is none, as with too few points.
+    """
     missing = _why_missing(points, ground, ASPRS_POINTS, "; for fewer run termsel accuracy")
     return StandardFigure(None if ground is None or missing else ground.total, missing)
 

@@ -46,7 +46,7 @@ def by_heights(used: FeatureSet, scaling: Scaling, project: Callable[[FloatArray
 
 
 def warnings_of(control: FeatureSet, used: BoolArray, check: Points) -> Iterator[str]:
-    """Yield what is to be said of selection points and image corners far outside the control.
+    """Yield sentences on selection points and image corners far outside the control, if any.
 
     Of the control, features in the adjustment count: `used`, shape (len(control),).
     """

@@ -63,7 +63,7 @@ class Baseline:
 
 
 def rmse_record(rmse: Rmses) -> RmseByRole:
-    """Return RMSE by role, with that by leave-one-out if there is one, as result.json holds them.
+    """Return RMSE by role as result.json holds them, with that by leave-one-out if it was computed.
     """
     control, check, independent = (_rmse_of_role(rmse.get(role)) for role in ROLES)
     return RmseByRole(control, check, independent,
@@ -114,7 +114,10 @@ def in_role(fitted: Fit, observations: Observations) -> Fit:
 
 
 def figures(fitted: Fit, observations: Observations) -> dict[str, Rmse | None]:
-    """Return the RMSE by role, and where control corrects itself, also that by leave-one-out."""
+    """Return the RMSE by role, None for roles without features.
+
+    Where control corrects the model itself, it also has that by leave-one-out.
+    """
     rmse_by_role = {"control": fitted.control_rmse(), "check": fitted.rmse(observations.check),
                     "independent": fitted.rmse(observations.independent)}
     if fitted.model.corrects and fitted.estimator.repeatable:

@@ -84,7 +84,7 @@ class Estimator(ABC):
 
     @property
     def options(self) -> Settings:
-        """What the estimator was made with, by name."""
+        """The estimator's own options and their values, by name; {} if it has none."""
         # A result stores them, so that the same estimator can be made again.
         return asdict(self) if is_dataclass(self) and not isinstance(self, type) else {}
 
@@ -177,7 +177,7 @@ class FixedCoefficients(Estimator):
 
     def fit(self, model: SensorModel, control: FeatureSet, scaling: Scaling, terms: BoolArray,
             used: BoolArray) -> Fit:
-        """Refuse, as it is not known how the coefficients were found."""
+        """Raise TermselError: nobody knows how the given coefficients were found."""
         raise TermselError("this fit has given coefficients, so no feature can be held out",
                            hint="Fit the model with termsel.fit to leave features out.")
 
@@ -292,14 +292,15 @@ class Fit(Glance):
 
     @cached_property
     def _scaled_used(self) -> FeatureSet:
-        """The features that the fit was made with, scaled."""
+        """The features in use, scaled; of a fit to all points, those of the fit it came from."""
         # A fit to all points shows the features of the selection it came from.
         original = self.original or self
         return self.scaling.features(original.control.take(original.used))
 
     @property
     def interpolation(self) -> Interpolation | None:
-        """The prediction by control points, of a model that predicts by them alone."""
+        """The prediction by control points, of a model that predicts by them alone; None of others.
+        """
         used = self._scaled_used
         # Points alone interpolate; a line has no single place to be met at.
         return None if len(used.lines) else self.model.interpolation(used)
@@ -368,7 +369,8 @@ class Fit(Glance):
         return image
 
     def _compute_positions(self, ground: FloatArray) -> FloatArray:
-        """Return what the model gives for places (n, 3), be they behind the camera or not [px]."""
+        """Return image positions of places (n, 3), (n, 2) [px], be they behind the camera or not.
+        """
         # In scaled coordinates throughout; pixels are made of the result alone.
         scaled = self.model.predict(self.adjustment.coefficients, self._scaled_used,
                                     self.scaling.ground(ground))
@@ -499,9 +501,10 @@ class Fit(Glance):
 
     @cached_property
     def local_courses(self) -> LocalCourses | None:
-        """What control points in a plane show of the truth, or None.
+        """The error of the model between control points in a plane, as they show it, or None.
 
-        A projection of a view is no field about a polynomial, and is judged by what it leaves.
+        None with heights, lines or too few points, and for a projection of a view: it is no field
+        about a polynomial, and is judged by its residuals.
         """
         is_polynomial = self.model.polynomial_degree is not None
         if self.model.uses_height or len(self._scaled_used.lines) \
@@ -510,7 +513,11 @@ class Fit(Glance):
         return local_courses(self._scaled_used.points, 1.0 / self.scaling.image_scale)
 
     def missed_at(self, ground: FloatArray) -> FloatArray:
-        """Return the mean square of what the model does not fit at places (m, 3), scaled (m, 2)."""
+        """Return the mean square of the model's own error at places (m, 3), scaled, (m, 2).
+
+        It is 0 where the residuals do not tell (see `misfit`), NaN where a place has no image
+        position.
+        """
         if self.misfit is None:
             return np.zeros((len(ground), 2))
         image = self.scaling.image(self._compute_positions(ground))
@@ -523,9 +530,9 @@ class Fit(Glance):
 
     @cached_property
     def misfit(self) -> Misfit | None:
-        """What the residuals of control points show that the model does not fit, or None.
+        """The error that the model itself has, as the residuals of control points show it, or None.
 
-        Lines show too little of it.
+        None with lines, which show too little of it, and without redundancy.
         """
         control = self._scaled_used
         # Lines have no residual along themselves; without redundancy all are zero.
@@ -569,7 +576,8 @@ class Fit(Glance):
         return points
 
     def _nan_where_unknown(self, image: FloatArray, ground: FloatArray) -> FloatArray:
-        """Return figures at places, and NaN where a coordinate that the model uses is unknown."""
+        """Return the image (n, 2) of places, NaN where a coordinate that the model uses is unknown.
+        """
         # The height counts only where the model uses it.
         coordinates = ground if self.model.uses_height else ground[:, :2]
         image[~np.isfinite(coordinates).all(axis=1)] = np.nan
@@ -682,14 +690,18 @@ class Fit(Glance):
     def leave_one_out_rmse(self) -> Rmse | None:
         """Return the RMSE of the control features in use, each under the fit without it.
 
-        Where the others do not determine the terms, their least-norm solution counts.
+        Where the others do not determine the terms, their least-norm solution counts. None without
+        features in use.
         """
         errors_each, _ = self.errors_without_each
         return rmse_of(np.concatenate(errors_each), len(errors_each))
 
     @cached_property
     def errors_without_each(self) -> tuple[tuple[FloatArray, ...], bool]:
-        """Errors of each feature in use by the fit without it, and whether all are determined."""
+        """Errors of each feature in use by the fit without it, (rows, 2) each [px].
+
+        With them comes whether the others always determine the fit.
+        """
         if self.stored_held_out is not None and self.stored_held_out.errors is not None:
             errors = self.stored_held_out.errors
             # Rows of one feature stand together, in the order of the features.
@@ -700,11 +712,11 @@ class Fit(Glance):
             tuple(interpolation.errors[:, None] * self.scaling.image_scale), True)
 
     def control_rmse(self) -> Rmse | None:
-        """Return the RMSE of the control features in use."""
+        """Return the RMSE of the control features in use; None if there are none."""
         return rmse_of(self.control_errors(self.used), int(self.used.sum()))
 
     def control_errors(self, features: BoolArray) -> FloatArray:
-        """Return the errors of some control features [px], of lines at each vertex."""
+        """Return the errors (m, 2) [px] of some control features: points, then line vertices."""
         selected = self.control.take(features)
         errors = [self.errors(selected.points)]
         if len(selected.lines):

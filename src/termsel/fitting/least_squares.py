@@ -127,7 +127,7 @@ def adjust(model: SensorModel, features: FeatureSet, terms: BoolArray,
         return adjustment
 
     def residuals_of(equations: Equations, coefficients: FloatArray) -> FloatArray:
-        """Return the residuals of the rows in use, those of pseudo-observations with them."""
+        """Return the residuals of the rows in use, (m,), then those of pseudo-observations."""
         in_use = equations.take(used[equations.feature], np.ones_like(terms))
         A, b = in_use.with_prior()
         return np.asarray(b - A @ coefficients)
@@ -169,7 +169,7 @@ def adjust(model: SensorModel, features: FeatureSet, terms: BoolArray,
 
 def _first_solution(model: SensorModel, features: FeatureSet, terms: BoolArray,
                     used: BoolArray) -> tuple[Adjustment, FloatArray, Equations | None]:
-    """Return an adjustment, the coefficients where Gauss-Newton steps begin, and their equations.
+    """Return an adjustment, where Gauss-Newton steps begin, (k,), and the equations there.
 
     The equations are None where there is nothing to iterate: they are exact, or do not determine
     the terms.

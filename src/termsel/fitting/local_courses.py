@@ -190,9 +190,9 @@ class LocalCourses:
 
 
 def local_courses(points: Points, pixel: float) -> LocalCourses | None:
-    """Return what scaled points in a plane show; None of few, or of points in a row.
+    """Return the courses of the error between scaled points in a plane, as the points show them.
 
-    A `pixel` is in scaled coordinates.
+    A `pixel` is in scaled coordinates. None with few points, or points in a row.
     """
     spread = rows_of_field(len(points))
     n = len(spread)
@@ -262,7 +262,8 @@ def _log_likelihoods(system: System, lengths: tuple[float, float], smoothness: f
 
 
 def _halve_rows(positions: FloatArray, rows: IntArray) -> list[IntArray]:
-    """Return rows cut in halves, across their longer side, until each part has few."""
+    """Return rows cut in halves, across their longer side, until each part has at most CELL_POINTS.
+    """
     if len(rows) <= CELL_POINTS:
         return [rows]
     axis = int(np.argmax(np.ptp(positions[rows], axis=0)))

@@ -140,12 +140,12 @@ class Method(ABC):
 
     @property
     def label(self) -> str:
-        """What tables and short sentences call it."""
+        """The short name that tables and short sentences show."""
         return self.short or self.name
 
     @property
     def summary(self) -> str:
-        """What lists say of it."""
+        """The sentence that lists of methods show."""
         return f"{self.title[:1].upper()}{self.title[1:]}."
 
     @abstractmethod
@@ -201,7 +201,7 @@ class Method(ABC):
         return self.fit(data)
 
     def describe(self, fitted: Fit) -> str:
-        """Return one sentence on why the features support it; "" if leave-one-out shows all."""
+        """Return a sentence on why the features support a fit; "" if leave-one-out shows all."""
         return ""
 
     def nearly(self, data: FitData) -> bool:

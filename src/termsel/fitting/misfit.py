@@ -112,7 +112,7 @@ class NoisePrior:
 
     @classmethod
     def of(cls, pixel: float, sigma: FloatArray | None, *, with_heights: bool) -> NoisePrior:
-        """Return what is known of the noise of an image whose heights count, or do not."""
+        """Return the prior of the noise of an image, another one if heights count."""
         return cls(pixel, sigma,
                    CAMERA_NOISE_LOG_DEVIATION if with_heights else NOISE_LOG_DEVIATION)
 
@@ -229,9 +229,9 @@ class System:
                       explained, shares.sum(axis=2), means, f)
 
     def without_noise_of_trend(self, course: Course, shares: FloatArray) -> Course:
-        """Return a course without what noise alone makes uncertain of the trend.
+        """Return a course without the part of the trend's uncertainty that noise alone makes.
 
-        That is s^2 t' (T' N^-1 T)^-1 t, N the relative variances.
+        That part is s^2 t' (T' N^-1 T)^-1 t, where N has the relative variances.
         """
         f = self.trend.shape[1]
         noise = (shares @ self.noises**2).sum(axis=1)                               # (2,)
@@ -254,7 +254,7 @@ class Misfit:
         return float(sum(course.share for course in self.courses))
 
     def squares(self, image: FloatArray) -> FloatArray:
-        """Return the mean square of what the model misses at places in the image, (m, 2)."""
+        """Return the mean square of the model's own error at places in the image, (m, 2)."""
         total = np.zeros((len(image), 2))
         trend = self._trend(image)
         for course in self.courses:
@@ -262,7 +262,7 @@ class Misfit:
         return total
 
     def covariance(self, image: FloatArray, axis: int) -> FloatArray:
-        """Return the mean products of what the model misses among places in the image, (m, m)."""
+        """Return the mean products of the model's own error among places in the image, (m, m)."""
         total = np.zeros((len(image), len(image)))
         trend = self._trend(image)
         for course in self.courses:
@@ -271,7 +271,7 @@ class Misfit:
         return total
 
     def _trend(self, image: FloatArray) -> FloatArray:
-        """Return the trend of what is missed at places: beyond the control that of its edge."""
+        """Return the trend's columns at places, (m, t); beyond the control those of its edge."""
         nearest = np.clip(image, self.positions.min(axis=0), self.positions.max(axis=0))
         return trend_of(nearest, len(self.positions))
 
@@ -322,12 +322,12 @@ def misfit_of(image: FloatArray, residuals: FloatArray, noise: NoisePrior,
 
 
 def rows_of_field(n: int) -> IntArray:
-    """Return the rows, of n points, by which a field is found: all of few, else spread ones."""
+    """Return which of n rows, (r,), a field is found by: MISFIT_MAX_POINTS spread ones, or all."""
     return np.linspace(0, n - 1, min(n, MISFIT_MAX_POINTS)).round().astype(np.intp)
 
 
 def mixed_misfit(misfits: Sequence[tuple[float, Misfit]]) -> Misfit | None:
-    """Return what is missed where each holds with a chance, of the same control; None of none."""
+    """Return the mixture of misfits of the same control, each with its chance; None without any."""
     if not misfits:
         return None
     courses = [replace(course, share=chance * course.share, variance=chance * course.variance,
@@ -351,7 +351,7 @@ def restricted_likelihood(covariance: FloatArray, trend: FloatArray, residuals: 
 
 
 def trend_of(image: FloatArray, n_points: int) -> FloatArray:
-    """Return the columns at places (m, 2) of the trend that so many points determine."""
+    """Return the columns of the trend at places (m, 2), (m, 6) of many points and (m, 3) of few."""
     line, sample = image.T
     columns = [np.ones(len(image)), line, sample]
     if n_points >= QUADRATIC_TREND_POINTS:

@@ -130,7 +130,10 @@ def covariances(original: Fit, ground: FloatArray) -> Spread | None:
 
 def _with_correlations_of_polynomial(spread: Spread, original: Fit, scaled_ground: FloatArray,
                                      image: FloatArray) -> Spread | None:
-    """Return a spread with errors as alike as those of the regularised cubic polynomial are."""
+    """Return a spread whose errors correlate as those of the regularised cubic polynomial do.
+
+    None where the points do not support that polynomial.
+    """
     believed = believed_spread(original.model, original.scaled_control.take(original.used),
                                scaled_ground, image)
     if believed is None or believed.factors is None:
@@ -191,6 +194,9 @@ def _gains(factors: FloatArray, remaining: FloatArray, scene_products: FloatArra
 
 def _variance_after_measuring(remaining: FloatArray, factor: FloatArray,
                               noise: float) -> FloatArray:
-    """Return what a further measurement leaves: R - R f f'R / (s + f'R f)."""
+    """Return the covariance after one more measurement: R - R f f'R / (s + f'R f).
+
+    R is `remaining` (n, n), f is `factor` (n,), and s the variance of the measurement's noise.
+    """
     toward = remaining @ factor
     return np.asarray(remaining - np.outer(toward, toward) / (noise + factor @ toward))

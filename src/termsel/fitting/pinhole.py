@@ -227,9 +227,9 @@ class Measured:
                 (self.tails + 2.0) / (self.tails + relative))
 
     def sigma_of(self, residuals: FloatArray, before: float) -> float:
-        """Return the standard deviation of a measurement, from residuals and experience.
+        """Return the standard deviation of a measurement, from residuals (n, 2) and experience.
 
-        `before` is what it was taken for, by which wild residuals are told.
+        `before` is the value taken so far, by which wild residuals are told.
         """
         squares = ((residuals * self.weights) ** 2).sum(axis=1)
         _, weights = self.counting(squares, before)
@@ -259,7 +259,10 @@ class Measured:
 
     def system(self, cameras: Cameras, rows: FloatArray,
                sigma: float) -> tuple[FloatArray, FloatArray]:
-        """Return the design (s, 2 n + p, 9) and what is left (s, 2 n + p), by their deviations."""
+        """Return the design (s, 2 n + p, 9) and residuals (s, 2 n + p), both by their deviations.
+
+        The first 2 n rows are of the n points, the others of the p priors.
+        """
         count = len(cameras)
         residuals = self.image - cameras.image(self.ground)
         _, weights = self.counting(((residuals * self.weights) ** 2).sum(axis=2), sigma)
@@ -286,7 +289,7 @@ class Measured:
 
     def descended(self, cameras: Cameras, rows: FloatArray, sigma: float,
                   steps: int = _STEPS) -> tuple[Cameras, FloatArray]:
-        """Return where damped steps from some cameras end, and the costs there (s,)."""
+        """Return the cameras where damped steps from some cameras end, and their costs (s,)."""
         costs = self.costs(cameras, rows, sigma)
         damping = np.full(len(cameras), 1e-3)
         for _ in range(steps):
@@ -304,7 +307,7 @@ class Measured:
             better = stepped_costs < costs
             gain = np.where(better, costs - stepped_costs, 0.0)
             # Each camera goes on or stays on its own, as one that diverges must not stop others.
-            cameras = _where(better, stepped, cameras)
+            cameras = _choose_cameras(better, stepped, cameras)
             damping = np.clip(np.where(better, damping / 10.0, damping * 10.0), 1e-12, 1e8)
             finished = (gain < _CONVERGED_GAIN *
                         (1.0 + stepped_costs)) & (better | (damping >= _MAX_DAMPING))
@@ -356,7 +359,8 @@ class Pinhole:
                            self.sigma)
 
     def factors(self, ground: FloatArray) -> FloatArray:
-        """Return factors of the covariance of what is seen of scaled places, (m, 2, 9)."""
+        """Return factors F of the covariance F F' of the image of scaled places (m, 3), (m, 2, 9).
+        """
         design, _ = self.measured.system(self.camera, np.ones((1, len(self.measured.image))),
                                          self.sigma)
         # With R of the design's QR the covariance is (R' R)^-1, so that factors are slopes by R^-1.
@@ -366,9 +370,10 @@ class Pinhole:
 
 
 def pinhole_of(scaled: FeatureSet, scaling: Scaling) -> Pinhole | None:
-    """Return the camera of scaled control points, or None: of few, lines, or none in front.
+    """Return the camera of scaled control points.
 
-    Heights that are not known, or all the same, are those of level ground.
+    None with few points, with lines, or if no camera has all points in front. Heights that are not
+    known, or all the same, are those of level ground.
     """
     measured = _camera_points(scaled, scaling)
     return None if measured is None or len(
@@ -378,7 +383,7 @@ def pinhole_of(scaled: FeatureSet, scaling: Scaling) -> Pinhole | None:
 def pinhole_near(camera: Pinhole, scaled: FeatureSet, scaling: Scaling) -> Pinhole | None:
     """Return the camera of other control points next to a camera: few have several places.
 
-    The points are in the scaled coordinates of the camera.
+    The points are in the scaled coordinates of the camera. None as for `pinhole_of`.
     """
     measured = _camera_points(scaled, scaling)
     return None if measured is None else camera_next_to(measured, camera.camera)
@@ -386,7 +391,10 @@ def pinhole_near(camera: Pinhole, scaled: FeatureSet, scaling: Scaling) -> Pinho
 
 @lru_cache(maxsize=32)
 def camera_of(measured: Measured) -> Pinhole | None:
-    """Return the camera of control points; a run asks for the same one many times."""
+    """Return the camera of control points, None if no camera has all of them in front.
+
+    It is cached, since a run asks for the same one many times.
+    """
     cameras = cameras_of(measured)
     return camera_next_to(measured, cameras.take(np.arange(1))) if len(cameras) else None
 
@@ -529,8 +537,8 @@ def rotations(turn: FloatArray) -> FloatArray:
     return np.asarray(np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross)
 
 
-def _where(condition: BoolArray, first: Cameras, second: Cameras) -> Cameras:
-    """Return of each pair of cameras the one where `condition`, (s,), and else the other."""
+def _choose_cameras(condition: BoolArray, first: Cameras, second: Cameras) -> Cameras:
+    """Return cameras (s,), each the first one where `condition` (s,) holds, else the second."""
     return Cameras(np.where(condition[:, None, None], first.rotation, second.rotation),
                    np.where(condition[:, None], first.shift, second.shift),
                    np.where(condition, first.focal, second.focal),

@@ -160,7 +160,8 @@ class Fits:
 
     @cached_property
     def _vertices(self) -> tuple[IntArray, FloatArray]:
-        """Points and ground vertices of lines: their features and their positions."""
+        """The feature of each point and each line vertex, (v,), and their ground positions, (v, 3).
+        """
         features = FeatureSet(self.control, self.lines)
         return features.vertex_feature, features.ground_vertices()
 

@@ -139,7 +139,7 @@ def _residual_rows(ids: tuple[str, ...], errors: FloatArray, ground: FloatArray,
 
 
 def _piece_numbers(lines: Lines) -> IntArray:
-    """Return which piece of its feature each line is, counted from 0."""
+    """Return which piece of its feature each line is, counted from 0, (m,)."""
     # Pieces of a line follow in any order, between those of others.
     count_by_id: Counter[str] = Counter()
     numbers = np.empty(len(lines), dtype=np.intp)

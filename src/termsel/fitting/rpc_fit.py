@@ -113,7 +113,7 @@ def rpc_of(fitted: Fit, heights: tuple[float, float] | None = None) -> RpcFit:
 
 
 def closest_rpc(fitted: Fit, heights: tuple[float, float] | None = None) -> RpcFit:
-    """Return the RPC of a fitted model as `rpc_of`, without a word on what it loses.
+    """Return the RPC of a fitted model as `rpc_of`, but without warnings of what it loses.
 
     A map needs one on the way, which nobody asked for.
     """
@@ -190,7 +190,8 @@ def _column(term: Term) -> int | None:
 
 
 def _term_sets(fitted: Fit) -> Iterator[tuple[str, BoolArray, float]]:
-    """Yield what to refit with: names and masks of terms of the full model, and a ridge."""
+    """Yield the ways to refit, best first: a name, the mask of terms (78,), and a ridge parameter.
+    """
     terms = [Term.parse(name) for name in RationalFunctions().terms]
     selected = [Term.parse(name) for name in select(fitted.model.terms, fitted.terms)]
     if all(_column(term) is not None for term in selected):
@@ -206,7 +207,8 @@ def _term_sets(fitted: Fit) -> Iterator[tuple[str, BoolArray, float]]:
 
 
 def _heights(fitted: Fit) -> tuple[float, float]:
-    """Return the least and the largest height of the control, and of what is known."""
+    """Return the least and the largest height of the control and of the known image; 0, 0 without.
+    """
     heights = fitted.control.ground_vertices()[:, 2]
     heights = heights[np.isfinite(heights)]
     known_image = fitted.model.known_image()
@@ -217,7 +219,8 @@ def _heights(fitted: Fit) -> tuple[float, float]:
 
 def _places_in_image(fitted: Fit,
                      heights: tuple[float, float] | None) -> tuple[FloatArray, FloatArray]:
-    """Return places all over the ground of the control that lie in the image, and where."""
+    """Return places all over the ground of the control that lie in the image, (n, 3), (n, 2) [px].
+    """
     # A fixed seed: the same fit has the same RPC.
     share = np.random.default_rng(0).uniform(-1.0, 1.0, (1000, 3))
     middle, half = fitted.ground_box()

@@ -54,11 +54,12 @@ def sky_of(fitted: Fit, image: FloatArray) -> BoolArray:
 
 
 def refuse_sky(fitted: Fit, product: str) -> None:
-    """Refuse to write what gives all of the image a place on the ground, if the sky is in it.
+    """Refuse to write a product that gives all of the image a place on the ground.
 
     Raises
     ------
     TermselError
+        If the sky is in the image.
     """
     sky = sky_said(fitted)
     if sky:

@@ -131,11 +131,11 @@ def spread_of(model: SensorModel, control: FeatureSet, terms: BoolArray, adjustm
 
 
 def _belief_of_points(model: SensorModel, control: FeatureSet, *, heights: bool) -> _Belief | None:
-    """Return what the points say of the truth where lines take part, too.
+    """Return the belief in the truth by the points alone, for control that has lines.
 
     Coefficients that are not by least squares have no propagation with lines. The points alone show
     less than both do, so that errors are not understated; of not many more points than an affine
-    model needs they would be overstated many times, and nothing is said.
+    model needs they would be overstated many times, and None is returned.
     """
     affine_columns = 4 if heights else 3
     points = control.take(np.arange(len(control)) < len(control.points))
@@ -285,7 +285,7 @@ class _Belief:
     @classmethod
     def of(cls, model: SensorModel, control: FeatureSet,
            heights: bool | None = None) -> _Belief | None:
-        """Return what is believed, by default with the heights that the model uses.
+        """Return the belief by control points, by default with the heights that the model uses.
 
         None with lines, or if points determine no affine model.
         """
@@ -350,10 +350,10 @@ def _unknown(count: int) -> Spread:
 def _propagated_noise(model: SensorModel, control: FeatureSet, terms: BoolArray,
                       adjustment: Adjustment,
                       ground: FloatArray) -> tuple[Spread, FloatArray]:
-    """Return the noise propagated through an adjustment, and squared held-out errors of features.
+    """Return the noise propagated through an adjustment, and squared held-out errors, (n,).
 
     Of a model that corrects predictions by its control it is that of the uncorrected ones, which
-    are worse.
+    are worse. Without redundancy both are unknown: NaN, and infinite.
     """
     if not adjustment.feasible or not adjustment.redundancy > 0:
         return _unknown(len(ground)), np.full(len(control), np.inf)

@@ -29,7 +29,7 @@ LINE, SAMPLE, BOTH = 0, 1, 2
 
 
 def _terms_fault(_model: SensorModel, value: Any) -> str | None:
-    """Return what is wrong with names of terms, if anything."""
+    """Return how names of terms are at fault; None if they are not."""
     if isinstance(value, tuple) and value and all(isinstance(name, str) for name in value) \
             and len(set(value)) == len(value):
         return None
@@ -37,13 +37,13 @@ def _terms_fault(_model: SensorModel, value: Any) -> str | None:
 
 
 def _equations_fault(model: SensorModel, value: Any, *_args: Any) -> str | None:
-    """Return what is wrong with equations, if anything."""
+    """Return how equations are at fault, such as a wrong shape; None if they are not."""
     return _linearised_fault(model, value, finite=True)
 
 
 def _linearised_fault(model: SensorModel, value: Any, *_args: Any, finite: bool = False,
                       ) -> str | None:
-    """Return what is wrong with equations about a solution, if anything."""
+    """Return how equations about a solution are at fault; None if they are not."""
     return (of_type(value, Equations)
             or of_shape(value.A, (-1, len(model.terms)), finite=finite, verb="returned as A")
             or of_shape(value.b, (len(value.A),), finite=finite, verb="returned as b")
@@ -56,7 +56,7 @@ def _start_fault(model: SensorModel, value: Any, *_args: Any) -> str | None:
 
 def _image_fault(_model: SensorModel, value: Any, coefficients: FloatArray, *args: Any,
                  ) -> str | None:
-    """Return what is wrong with image positions, if anything; at a pole they are not finite."""
+    """Return how image positions are at fault; None if they are not, as if infinite at a pole."""
     # `project` is called with coefficients and ground, `predict` with the control in between.
     ground = args[-1]
     return of_shape(value, (*np.shape(coefficients)[:-1], len(ground), 2), finite=False)

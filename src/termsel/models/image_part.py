@@ -81,7 +81,7 @@ class ImagePart:
         return " ".join(options)
 
     def sentence(self) -> str:
-        """Return what it is, as a sentence."""
+        """Return a sentence on which part of the RPC's image this one is."""
         line, sample = self.offset
         clauses = []
         if self.scale != 1.0:
@@ -98,7 +98,10 @@ class ImagePart:
 
 
 def part_of(offset: str | None, scale: float | str | None) -> ImagePart | None:
-    """Return what the options `RPC_OFFSET` and `RPC_SCALE` say; None where they are not given."""
+    """Return the part by the options `RPC_OFFSET` and `RPC_SCALE`; None if neither is given.
+
+    Raises TermselError if one of them cannot be read.
+    """
     if offset is None and scale is None:
         return None
     # Either option alone says that the other is as in the whole image.
@@ -138,7 +141,7 @@ def recognised(predicted: FloatArray, measured: FloatArray) -> ImagePart | None:
         return None
     # Ratios of distances do not depend on where the part begins, so the factor comes first.
     factor = _factor(predicted, measured)
-    scale = _simple(factor) if abs(factor - 1.0) > _REDUCED else 1.0
+    scale = _nearest_simple_factor(factor) if abs(factor - 1.0) > _REDUCED else 1.0
     start = np.median(predicted + 0.5 - scale * (measured + 0.5), axis=0)
     # Less than what vendors' RPCs are off is a shift of the RPC; more is where the part begins.
     start = _ROUND * np.round(start / _ROUND) if np.abs(start).max() > _FAR_PX or scale == 1.0 \
@@ -168,7 +171,7 @@ def _factor(predicted: FloatArray, measured: FloatArray) -> float:
     return float(np.median(predicted_distances[differs] / measured_distances[differs]))
 
 
-def _simple(factor: float) -> float:
-    """Return the simple factor that a measured one is, or that itself."""
+def _nearest_simple_factor(factor: float) -> float:
+    """Return the simple factor next to a measured one, or the measured one if none is close."""
     nearest = min(_FACTORS, key=lambda simple: abs(factor / simple - 1.0))
     return float(nearest) if abs(factor / nearest - 1.0) < _SIMPLE else factor

@@ -76,7 +76,7 @@ _LAYOUT = (
 
 
 def _blocks_fault(_model: RationalModel, value: Any, ground: FloatArray) -> str | None:
-    """Return what is wrong with the columns of a model, if anything."""
+    """Return how the columns of a model are at fault; None if they are not."""
     return of_type(value, Blocks) or next(filter(None, (
         of_shape(columns, (len(ground), -1), verb=f"returned as {name}")
         for name, columns in vars(value).items() if columns is not None
@@ -226,11 +226,11 @@ class RationalModel(SensorModel):
         return False
 
     def linearised(self, features: FeatureSet, coefficients: FloatArray) -> Equations | None:
-        """Return the equations of points and lines about a solution (Gauss-Newton).
+        """Return the equations of points and lines about a solution (Gauss-Newton), or None.
 
-        Only for lines with separate denominators, and where the model is `weighted`. All other
-        cases keep the linear equations that the literature solves: points alone, and lines with
-        polynomials or a shared denominator.
+        Only for lines with separate denominators, and where the model is `weighted`. In all other
+        cases None keeps the linear equations that the literature solves: points alone, and lines
+        with polynomials or a shared denominator.
         """
         if not self.weighted and (self.exact_for_lines or not len(features.lines)):
             return None
@@ -252,7 +252,7 @@ class RationalModel(SensorModel):
 
     @property
     def first_terms(self) -> BoolArray | None:
-        """Numerators, where the model is `weighted` (see `SensorModel.first_terms`)."""
+        """Numerators, (k,), where the model is `weighted`, else None."""
         return np.array([not Term.parse(name).is_denominator
                          for name in self.terms]) if self.weighted else None
 
@@ -382,10 +382,10 @@ def pole_margin(control: Points) -> float:
 
 @lru_cache(maxsize=8)
 def guard_points(control: FeatureSet, check: Points, wider: float = 1.0) -> FloatArray:
-    """Return scaled ground points at which denominators must stay positive.
+    """Return scaled ground points, (g, 3), at which denominators must stay positive.
 
-    They are a grid over the box around control and check features, without what no image of such a
-    view shows, and the features themselves. The box is made `wider` about its middle.
+    They are a grid over the box around control and check features, without those that no image of
+    such a view shows, and the features themselves. The box is made `wider` about its middle.
     """
     vertices = np.concatenate([control.ground_vertices(), check.ground])
     axes = np.eye(3)
@@ -414,7 +414,7 @@ def guard_points(control: FeatureSet, check: Points, wider: float = 1.0) -> Floa
 
 def pole_violation(model: SensorModel, coefficients: FloatArray, ground: FloatArray,
                    margin: float = POLE_MARGIN) -> FloatArray:
-    """Return how far denominators are below a margin, shape (p,); 0 is safe."""
+    """Return how far denominators fall below a margin, shape (p,); 0 is safe."""
     below = model.denominators(coefficients, ground)
     if below is None:
         return np.zeros(len(coefficients))
@@ -499,7 +499,7 @@ class RationalFunctions(MonomialModel):
         return equations and replace(equations, prior=self._prior(features))
 
     def _prior(self, features: FeatureSet) -> FloatArray | None:
-        """Return the weights that hold the terms of denominators near 0; None without any."""
+        """Return the weights (k,) that hold the terms of denominators near 0; None without any."""
         ridge = self.options["ridge"]
         if ridge is None:
             # A DLT has so few denominators that lines determine them.

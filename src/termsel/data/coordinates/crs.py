@@ -128,11 +128,15 @@ def normalise(crs: str) -> str:
     elif by_name := _crs_by_name(text):
         return by_name
     raise TermselError(f"unknown CRS {crs!r}",
-                       hint=f"{_meant(text)}Examples: {EXAMPLES}; WKT, or a string of PROJ.")
+                       hint=f"{_question_on_meaning(text)}Examples: {EXAMPLES}; WKT, or a "
+                             "string of PROJ.")
 
 
-def _meant(text: str) -> str:
-    """Return a question what an unknown text may mean, "" without any guess."""
+def _question_on_meaning(text: str) -> str:
+    """Return a question on what an unknown CRS may mean, such as "Did you mean EPSG:4326 ...? ".
+
+    It is "" without any guess.
+    """
     if text.isdecimal():
         return f"Did you mean EPSG:{text}? "
     zone = _UTM_WITHOUT_SIDE.fullmatch(text)
@@ -164,7 +168,10 @@ def _crs_by_name(text: str) -> str:
 
 
 def _crs_of_proj_string(text: str) -> str:
-    """Return the normal form of a CRS as a string of PROJ, in words such as +proj=bonne."""
+    """Return the normal form of a CRS given as a string of PROJ, such as "+proj=bonne ...".
+
+    "" where it is no CRS. Raises TermselError if pyproj is needed and not installed.
+    """
     words = dict(re.findall(r"\+(\w+)(?:=(\S+))?", text))
     if words.get("datum") == "WGS84" and not {"axis", "pm", "vunits", "geoidgrids"} & words.keys():
         if words.get("proj") in ("longlat", "latlong"):
@@ -241,7 +248,8 @@ def _code_or_text(text: str) -> str:
 
 
 def is_geographic(crs: str) -> bool:
-    """Return True where x and y are longitude and latitude, as far as is known without pyproj."""
+    """Return True if x and y are longitude and latitude; without pyproj only common CRS are known.
+    """
     return kind_of(normalise(crs)) == "geographic"
 
 
@@ -375,7 +383,7 @@ EARTH = "the Earth"
 
 @lru_cache
 def body_of(crs: str) -> str:
-    """Return the celestial body of a CRS as messages call it, such as "Mars"."""
+    """Return the celestial body of a CRS as messages call it, such as "Mars"; EARTH by default."""
     ellipsoid = _ellipsoid_and_name(crs)
     if ellipsoid is None or abs(ellipsoid[0] / SEMI_MAJOR - 1.0) < _OF_EARTH:
         return EARTH
@@ -415,7 +423,7 @@ def _ellipsoid_and_name(crs: str) -> tuple[float, float, str] | None:
 
 
 def area_of_use(crs: str) -> tuple[float, float, float, float] | None:
-    """Return west, south, east and north [deg] of the area that a CRS is for, as far as known."""
+    """Return west, south, east and north [deg] of the area that a CRS is for; None if not known."""
     name = normalise(crs)
     parsed = None if name == LOCAL or name in WGS84 else _with_pyproj(name)
     area = None if parsed is None else parsed.area_of_use
@@ -527,12 +535,15 @@ def _with_pyproj(crs: str) -> CRS | None:
         import pyproj  # noqa: F401 - whether it is there
     except ImportError:
         return None
-    return _read(crs)
+    return _parsed_by_pyproj(crs)
 
 
 @lru_cache
-def _read(crs: str) -> CRS:
-    """Return the CRS by pyproj, which takes 10 ms to read one; a run asks a hundred times."""
+def _parsed_by_pyproj(crs: str) -> CRS:
+    """Return the CRS by pyproj; cached, as that takes 10 ms and a run asks a hundred times.
+
+    Raises TermselError for a CRS that does not exist, or that termsel does not take.
+    """
     from pyproj import CRS
     from pyproj.exceptions import CRSError
 

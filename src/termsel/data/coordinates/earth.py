@@ -65,8 +65,7 @@ def say_turned(features: FeatureSet) -> None:
 
 
 def note_on_turned(features: FeatureSet) -> str:
-    """Return what a reader must know where axes look swapped or are counted the other way; or "".
-    """
+    """Return a note where axes look swapped or are counted the other way; "" where they are not."""
     if doubt := swapped(features):
         exchanging, exchanging_others = _exchange_option(doubt)
         location = place_of(features)
@@ -110,7 +109,7 @@ def unknown_crs(features: FeatureSet, may_turn: bool) -> TermselError:
 
 
 def _exchange_option(doubt: str) -> tuple[str, ...]:
-    """Return what --set says to exchange the axes that `swapped` names, then the others."""
+    """Return the --set option that exchanges the axes `swapped` names, then that of the others."""
     return ("swapped=xy", "swapped=line-sample")[::-1 if doubt[0] == "l" else 1]
 
 
@@ -133,7 +132,7 @@ def swapped(features: FeatureSet) -> str:
 
 
 def _coordinate_counted_otherwise(features: FeatureSet) -> str:
-    """Return which image coordinate is counted the other way than from the upper left corner."""
+    """Return which image coordinate is counted other than from the upper left; "" if none is."""
     turn = _rotation_to_east_north_up(features)
     if turn is None or np.linalg.det(turn) >= 0:
         return ""
@@ -169,7 +168,10 @@ def _rotation_to_east_north_up(features: FeatureSet) -> FloatArray | None:
 
 
 def _matrix(features: FeatureSet, fewest: int) -> FloatArray | None:
-    """Return the matrix of `_rotation_to_east_north_up` in any CRS; None for too few features."""
+    """Return the matrix of `_rotation_to_east_north_up` in any CRS, (2, 2).
+
+    None for fewer than `fewest` features, or features at one place of the image.
+    """
     points = features.points
     lines = features.lines
     if len(points) + len(lines) // 1.5 < fewest:
@@ -238,7 +240,10 @@ def _is_inside(position: tuple[float, float], area: tuple[float, float, float, f
 
 
 def degrees_of(crs: str, ground: FloatArray) -> tuple[float, float] | None:
-    """Return longitude and latitude [deg] of the middle of places, None where nothing shows."""
+    """Return longitude and latitude [deg] of the median of places (n, 3).
+
+    None where they are not known: with a local CRS, without pyproj, or far outside the CRS.
+    """
     try:
         if is_geographic(crs):
             lon = float(median(continuous(ground[:, 0])))

@@ -38,18 +38,18 @@ def continuous(lon: FloatArray) -> FloatArray:
 
 
 def nearest(lon: FloatArray, middle: float) -> FloatArray:
-    """Return longitudes [deg], each by whole turns as near to a middle as it can be."""
+    """Return longitudes [deg], (n,), each turned by whole turns to be the nearest to a middle."""
     return np.asarray(lon - TURN * np.round((lon - middle) / TURN))
 
 
 def jumps(features: FeatureSet) -> bool:
-    """Return whether longitudes of features jump, whatever independent points and others do."""
+    """Return whether longitudes jump between control and check features at 180 degrees."""
     lon = features.ground_vertices()[_deciding(features), 0]
     return bool(len(lon)) and is_geographic(features.crs) and (continuous(lon) != lon).any()
 
 
 def without_jump(features: FeatureSet) -> FeatureSet:
-    """Return features whose longitudes go on beyond 180 degrees; the same where none jump."""
+    """Return features whose longitudes go on beyond 180 degrees; the same object if none jump."""
     points = features.points
     lines = features.lines
     all_longitudes = features.ground_vertices()[:, 0]
@@ -72,7 +72,7 @@ def without_jump(features: FeatureSet) -> FeatureSet:
 
 
 def _deciding(features: FeatureSet) -> BoolArray:
-    """Return the ground vertices whose longitudes decide, as independent points must not."""
+    """Return the ground vertices whose longitudes decide, (v,): independent points do not."""
     is_set_aside = np.isin(np.array(features.points.roles, dtype=object), ("independent", "off"))
     return np.concatenate([~is_set_aside, np.ones(2 * len(features.lines), dtype=bool)])
 
@@ -103,7 +103,10 @@ def on_globe(ground: FloatArray, crs: str) -> FloatArray:
 
 
 def _degrees(ground: FloatArray, crs: str) -> FloatArray:
-    """Return longitude, latitude [deg] and height of positions; a copy where nothing shows them."""
+    """Return longitude, latitude [deg] and height of positions (n, 3), (n, 3).
+
+    It is a copy of the positions where their CRS does not show degrees.
+    """
     positions = ground.copy()
     try:
         if is_geocentric(crs):

@@ -67,9 +67,10 @@ def height_unit(crs: str) -> float:
 
 @lru_cache
 def _kind(crs: str) -> tuple[bool, bool, float | None, float]:
-    """Return whether a CRS is geographic, whether it is geocentric, and its units in metres.
+    """Return whether a CRS is geographic, whether geocentric, and its units in metres.
 
-    It is asked at every fit, and pyproj takes its time.
+    The units are those of the plane, None if not known, and of heights. It is cached, as it is
+    asked at every fit, and pyproj takes its time.
     """
     return is_geographic(crs), is_geocentric(crs), metres_per_unit(crs), metres_per_height(crs)
 

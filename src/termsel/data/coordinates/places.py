@@ -156,7 +156,8 @@ class Lattice:
         return Lattice(self.line[rows], self.column[rows])
 
     def sentence(self, *, known: bool = False) -> str:
-        """Say what the points are, and what would be better where their geometry is not known."""
+        """Return a sentence on the lattice, and what would be better if its geometry is not known.
+        """
         description = (f"The {len(self.line)} points are a lattice of {self.lines} lines and "
                        f"{self.columns} columns of the image: computed, not measured.")
         return description if known else (
@@ -185,7 +186,7 @@ def lattice_of(points: Points) -> Lattice | None:
 
 
 def _ranks_of_values(values: FloatArray) -> IntArray:
-    """Return the rank of each value among those that differ."""
+    """Return the rank of each value (n,) among the different ones, counted from 0, (n,)."""
     order = np.argsort(values, kind="stable")
     ranks = np.empty(len(values), dtype=np.intp)
     ranks[order] = np.concatenate([[0], np.cumsum(np.diff(values[order]) > ROUND)])
@@ -237,9 +238,9 @@ def _in_pixels(points: Points, noise: FloatArray) -> float | None:
 
 
 def _smooth_columns(points: Points) -> FloatArray:
-    """Return what places of a smooth geometry are made of, beyond cubic polynomials, (n, k).
+    """Return columns of a smooth geometry at places, beyond cubic polynomials, (n, k).
 
-    Powers of the sample; heights, and their squares, by factors that change slowly.
+    They are powers of the sample; heights, and their squares, by factors that change slowly.
     """
     line, sample = ((points.image - points.image.mean(axis=0))
                     / np.ptp(points.image, axis=0)).T
@@ -254,7 +255,7 @@ def _smooth_columns(points: Points) -> FloatArray:
 
 
 def _runs(lattice: Lattice) -> Iterator[IntArray]:
-    """Yield the numbers of points that are neighbours on a line, one run after the other."""
+    """Yield the indices (r,) of points that are neighbours on a line, one run after the other."""
     order = np.lexsort((lattice.column, lattice.line))
     for start in range(len(order) - _RUN + 1):
         run = order[start:start + _RUN]

@@ -80,7 +80,7 @@ def _check_distance(ground: FloatArray, features: FeatureSet, crs: str) -> None:
 
 def _hint_of_utm(xy: FloatArray, zone: int, low: tuple[float, float],
                  high: tuple[float, float]) -> str:
-    """Return what may be wrong with coordinates that are outside a zone of UTM."""
+    """Return a sentence on the likely reason why coordinates (n, 2) are outside a zone of UTM."""
     if (xy[:, 0] // 1e6 == zone).all():
         crs = _WITH_ZONE.get(zone)
         stated = f", or state the CRS that has them, --crs {crs} (ETRS89)" if crs else ""
@@ -144,7 +144,7 @@ def _check_range(xy: FloatArray, features: FeatureSet, low: tuple[float, float],
 
 
 def _vertex(features: FeatureSet, i: int, axis: int) -> tuple[str, str]:
-    """Return the feature of the i-th ground vertex, and what its coordinate is called."""
+    """Return the id of the feature of the i-th ground vertex, and its coordinate, such as "x2"."""
     # Vertices are those of points, then two of each line.
     of_line = i - len(features.points)
     end = "" if of_line < 0 else str(of_line % 2 + 1)
@@ -181,18 +181,18 @@ def note_on_mixed(features: FeatureSet) -> str:
     points = features.points
     if len(points) < MIN_AFFINE_POINTS or not features.crs:
         return ""
-    return _two_zones(features) or _minutes(features)
+    return _two_zones(features) or _note_on_minutes(features)
 
 
 def _two_zones(features: FeatureSet) -> str:
-    """Return which points look as if they were in the next zone of UTM."""
+    """Return a note on points that look as if they were in the next zone of UTM; "" if none do."""
     crs = normalise(features.crs)
     match = UTM.fullmatch(crs)
     ground = features.points.ground
     far = _far_group(ground[:, 0])
     if match is None or far is None:
         return ""
-    as_it_stands = _error(features.points.image, ground)
+    as_it_stands = _rms_of_affine_fit(features.points.image, ground)
     zone = int(crs[-2:])
     for neighbour in (zone - 1, zone + 1):
         if not 1 <= neighbour <= 60:
@@ -204,7 +204,7 @@ def _two_zones(features: FeatureSet) -> str:
         except TermselError:  # nothing can be where these coordinates are in that zone
             continue
         read[far, :2] = turned[:, :2]
-        if _error(features.points.image, read) < BETTER * as_it_stands:
+        if _rms_of_affine_fit(features.points.image, read) < BETTER * as_it_stands:
             ids = [features.points.ids[i] for i in np.flatnonzero(far)]
             # Which of the two is the zone of the CRS, the coordinates do not show.
             direction = "west" if neighbour < zone else "east"
@@ -215,7 +215,10 @@ def _two_zones(features: FeatureSet) -> str:
 
 
 def _far_group(eastings: FloatArray) -> BoolArray | None:
-    """Return the smaller of two groups of eastings (n,) with a wide gap between them, if any."""
+    """Return the smaller of two groups of eastings (n,) with a wide gap between them.
+
+    It is a mask (n,); None where there is no such gap.
+    """
     order = np.sort(eastings)
     gaps = [second - first for first, second in pairwise(order.tolist())]
     widest = int(np.argmax(gaps))
@@ -226,8 +229,8 @@ def _far_group(eastings: FloatArray) -> BoolArray | None:
     return np.asarray(above if above.sum() <= len(above) / 2 else ~above)
 
 
-def _minutes(features: FeatureSet) -> str:
-    """Return that degrees and minutes, or seconds too, look as if they were typed as decimals."""
+def _note_on_minutes(features: FeatureSet) -> str:
+    """Return a note that degrees and minutes, or seconds too, look typed as decimals; or ""."""
     if not is_in_degrees(features.crs):
         return ""
     ground = features.points.ground
@@ -247,9 +250,9 @@ def _minutes(features: FeatureSet) -> str:
                 "degrees, minutes and seconds": degrees + minutes / 60 + seconds / 3600}
     if (seconds >= 60).any():
         del readings["degrees, minutes and seconds"]
-    errors = {name: _error(image, sign * read) for name, read in readings.items()}
+    errors = {name: _rms_of_affine_fit(image, sign * read) for name, read in readings.items()}
     name = min(errors, key=lambda reading: errors[reading])
-    if errors[name] >= BETTER * _error(image, ground):
+    if errors[name] >= BETTER * _rms_of_affine_fit(image, ground):
         return ""
     first = ground[0, 0]
     value = decimals[0, 0] * 100
@@ -260,8 +263,8 @@ def _minutes(features: FeatureSet) -> str:
             "decimal degrees, or degrees and minutes with their signs.")
 
 
-def _error(image: FloatArray, ground: FloatArray) -> float:
-    """Return the root mean square of what an affine image of the ground leaves [px]."""
+def _rms_of_affine_fit(image: FloatArray, ground: FloatArray) -> float:
+    """Return the root mean square [px] of the residuals of an affine image of the ground."""
     # About the middle and by the extent, so that the system is well conditioned.
     plan = ground[:, :2] - ground[:, :2].mean(axis=0)
     plan = plan / np.maximum(np.abs(plan).max(axis=0), np.finfo(float).tiny)

@@ -24,9 +24,10 @@ MAX_SECANTS = 60
 
 
 def quantile(values: NDArray[np.float64], share: float) -> NDArray[np.float64]:
-    """Return what a share of values is below, along their last axis, as `numpy.quantile` does.
+    """Return the quantile of values along their last axis, (...), as `numpy.quantile` does.
 
-    That imports numpy.ma, which takes 0.01 s, and so does `numpy.median`.
+    `share`, 0 to 1, of the values is below it; NaN if a value is. numpy's imports numpy.ma, which
+    takes 0.01 s, and so does `numpy.median`.
     """
     ordered = np.sort(values)  # any NaN is last
     below = int(share * (values.shape[-1] - 1))
@@ -41,7 +42,10 @@ def quantile(values: NDArray[np.float64], share: float) -> NDArray[np.float64]:
 
 
 def median(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the median of values along their last axis, as `numpy.median` does; NaN of none."""
+    """Return the median of values along their last axis, (...), as `numpy.median` does.
+
+    It is NaN of no values, and if a value is.
+    """
     ordered = np.sort(values)
     count = values.shape[-1]
     if not count:
@@ -51,7 +55,10 @@ def median(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def chi_squared_quantile(share: float, freedom: float) -> float:
-    """Return what a chi-squared number of so many degrees of freedom is below by that chance."""
+    """Return the number that a chi-squared number is below with the chance `share`.
+
+    `freedom` is its degrees of freedom.
+    """
     if freedom > MAX_SUMMED_FREEDOM:
         from scipy.special import chdtri
 
@@ -73,20 +80,20 @@ def chi_squared_quantile(share: float, freedom: float) -> float:
 
     # Its third root is about normal (Wilson and Hilferty 1931).
     ninth = 2 / 9 / freedom
-    return _where(below, share, max(1e-3, 1 - ninth + (2 * share - 1) * 1.8 * sqrt(ninth)) ** 3
-                  * freedom)
+    start = max(1e-3, 1 - ninth + (2 * share - 1) * 1.8 * sqrt(ninth)) ** 3 * freedom
+    return _argument_of(below, share, start)
 
 
 def t_quantile(share: float, freedom: float) -> float:
-    """Return what a t distributed number of so many degrees of freedom is below by that chance.
+    """Return the number that a t distributed number is below with the chance `share`, above 1/2.
 
-    It is above one half.
+    `freedom` is its degrees of freedom.
     """
     if freedom > MAX_SUMMED_FREEDOM:
         from scipy.special import stdtrit
 
         return float(stdtrit(freedom, share))
-    return _where(lambda t: 1 - t_beyond(t, freedom) / 2, share, 1.0)
+    return _argument_of(lambda t: 1 - t_beyond(t, freedom) / 2, share, 1.0)
 
 
 def t_beyond(t: float, freedom: float) -> float:
@@ -124,8 +131,8 @@ def _beta(x: float, complement: float, a: float, b: float) -> float:
     return value
 
 
-def _where(rising: Callable[[float], float], value: float, x: float) -> float:
-    """Return where a function of positive numbers has a value, by secants that begin at x."""
+def _argument_of(rising: Callable[[float], float], value: float, x: float) -> float:
+    """Return the x > 0 at which a rising function has a value, by secants that begin at x."""
     y = rising(x)
     after = 1.01 * x
     for _ in range(MAX_SECANTS):

@@ -150,7 +150,7 @@ class RmseByRole(RecordPart, frozen=True):
 
     @property
     def by_role(self) -> dict[str, RoleRmse]:
-        """The RMSE by the key of its role, with "leave-one-out" where it is known."""
+        """The RMSE by the key of its role, with "leave-one-out" if it was computed."""
         # Absent, not null: most problems have no leave-one-out.
         of_roles = {"control": self.control, "check": self.check, "independent": self.independent}
         return of_roles if self.leave_one_out is None else {

@@ -81,7 +81,7 @@ class Counts(RecordPart, frozen=True):
 
     @property
     def word(self) -> str:
-        """What the control is: points, lines, or features if it is both."""
+        """The word for the control: points, lines, or features if it is both."""
         return "points" if not self.lines else "features" if self.control else "lines"
 
 

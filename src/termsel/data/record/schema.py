@@ -20,7 +20,7 @@ def json_schema() -> dict[str, Any]:
     """
     (root,), definitions = msgspec.json.schema_components(
         [Record], ref_template="#/$defs/{name}")
-    of_name = {record_class.__name__: record_class for record_class in _parts(RecordPart)}
+    of_name = {record_class.__name__: record_class for record_class in _all_subclasses(RecordPart)}
     for name, definition in definitions.items():
         definition.pop("title")
         definition["description"] = (of_name[name].__doc__ or "").partition("\n")[0]
@@ -33,11 +33,11 @@ def json_schema() -> dict[str, Any]:
             "title": "termsel result", **root_schema, "$defs": definitions}
 
 
-def _parts(kind: type[RecordPart]) -> list[type[RecordPart]]:
-    """Return all kinds of parts."""
+def _all_subclasses(kind: type[RecordPart]) -> list[type[RecordPart]]:
+    """Return all direct and indirect subclasses of a kind of part."""
     classes: list[type[RecordPart]] = []
     for subclass in kind.__subclasses__():
-        classes += [subclass, *_parts(subclass)]
+        classes += [subclass, *_all_subclasses(subclass)]
     return classes
 
 

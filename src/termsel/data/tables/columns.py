@@ -85,7 +85,7 @@ def folded(name: str) -> str:
 
 @lru_cache(10_000)
 def _forms(name: str) -> tuple[str, str]:
-    """Return a name, and the same without its unit: X (px) may be x_px, and Line (px) is line."""
+    """Return a column's name folded with and without its unit: Line (px) is "linepx" and "line"."""
     normal = unicodedata.normalize("NFKC", name.strip().casefold())
     return folded(normal), folded(_UNIT.sub("", normal))
 
@@ -150,7 +150,7 @@ def _meaning_and_line_end(meaning: str) -> tuple[str, str]:
 
 
 def columns_text(columns: str | Mapping[str, object]) -> str:
-    """Return the text of ``--columns`` for a mapping of the same meaning, or the text itself."""
+    """Return a mapping of meanings to columns as the text of --columns; text stays as it is."""
     return columns if isinstance(columns, str) else ",".join(
         f"{meaning}={column}" for meaning, column in columns.items())
 
@@ -291,7 +291,10 @@ def read_numbers(cells: Sequence[str], sign: str, *, may_be_blank: bool, angle: 
 
 
 def _number(row: int, cell: str, sign: str, may_be_blank: bool, angle: str) -> float:
-    """Return the number of a cell; raises BadCell, with the row, for what is none."""
+    """Return the number of a cell, NaN of one that may be blank.
+
+    Raises BadCell, with the row, if it is not a plain, finite number.
+    """
     text = cell.strip()
     if not text:
         if may_be_blank:

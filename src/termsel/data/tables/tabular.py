@@ -65,7 +65,7 @@ def check_heights(z: FloatArray, ids: Sequence[str], kind: str) -> None:
 
 
 def check_deviations(sigma: FloatArray, ids: Sequence[str], kind: str) -> None:
-    """Refuse deviations that are not positive, or beyond what can be computed with."""
+    """Raise TermselError for deviations that are not positive, or too large to compute with."""
     # Their squares, and those of weights, must not overflow.
     is_bad = ~((sigma > 1 / FARTHEST) & (sigma < FARTHEST))
     if not is_bad.any():
@@ -114,7 +114,8 @@ def repeated_places(ground: FloatArray, *, with_single: bool = False) -> list[li
 
 
 def places_in_words(ids: Sequence[str], groups: Sequence[Sequence[int]]) -> str:
-    """Return which points have the same ground coordinates, given the rows of each place."""
+    """Return a clause on which points have the same ground coordinates, by the rows of each place.
+    """
     named = []
     for rows in groups[:_MAX_NAMED]:
         # Three of a place show which it is.
@@ -129,7 +130,7 @@ def places_in_words(ids: Sequence[str], groups: Sequence[Sequence[int]]) -> str:
 
 
 def check_segments(ground: FloatArray, ids: Sequence[str]) -> None:
-    """Refuse two lines with the same ground vertices."""
+    """Raise TermselError for two lines with the same ground vertices."""
     ends = np.nan_to_num(ground, nan=0.0)
     # One order of the ends, by X, then Y, then Z, so that a reversed line is found too.
     # The first coordinate in which the two ends differ says which of them comes first.
@@ -146,7 +147,7 @@ def check_segments(ground: FloatArray, ids: Sequence[str]) -> None:
 
 
 def _first_repeated_row(rows: FloatArray) -> tuple[int, int] | None:
-    """Return the first row that repeats an earlier one, after that one."""
+    """Return an earlier row, and the first row that repeats it; None if all differ."""
     _, first, inverse = np.unique(rows, axis=0, return_index=True, return_inverse=True)
     earlier = first[inverse.ravel()]
     repeated = np.flatnonzero(earlier != np.arange(len(rows)))
@@ -154,7 +155,7 @@ def _first_repeated_row(rows: FloatArray) -> tuple[int, int] | None:
 
 
 def refused(name: str) -> str:
-    """Return what is wrong with an id, "" if nothing."""
+    """Return how an id is at fault, as the end of a sentence; "" if it is not."""
     # So that tables keep it, and a terminal shows it.
     if not name:
         return "is blank"
@@ -222,7 +223,7 @@ def as_attributes(attributes: Mapping[str, Iterable[Any]], n: int, *reserved: st
 
 
 def text_array(cells: Sequence[str]) -> TextArray:
-    """Return text as an array, whatever its length: one long cell makes the others no longer."""
+    """Return text as an array (n,) of objects: one long cell makes the others no longer."""
     array = np.empty(len(cells), dtype=object)
     array[:] = cells
     return array
@@ -243,13 +244,13 @@ def rows_at(attributes: Attributes, index: NDArray[Any] | slice) -> Attributes:
 
 
 def joined(first: Attributes, n: int, second: Attributes, m: int) -> dict[str, TextArray]:
-    """Return the rows of both, n and m of them, with "" where one has no such column."""
+    """Return the columns of both tables, (n + m,), "" where one of them has no such column."""
     return {name: np.concatenate([_column(first, name, n), _column(second, name, m)])
             for name in distinct([*first, *second])}
 
 
 def distinct(names: Iterable[str]) -> list[str]:
-    """Return names, of those alike the first: upper and lower case count as the same."""
+    """Return names without repetitions in upper or lower case; the first spelling stays."""
     first_spelling: dict[str, str] = {}
     for name in names:
         first_spelling.setdefault(name.casefold(), name)
@@ -257,13 +258,14 @@ def distinct(names: Iterable[str]) -> list[str]:
 
 
 def _column(table: Attributes, name: str, rows: int) -> TextArray:
-    """Return a column, "" in each row if there is none."""
+    """Return a column of a table, (rows,), whatever its case; "" in each row if there is none."""
     return next((cells for key, cells in table.items() if key.casefold() == name.casefold()),
                 np.full(rows, "", dtype=object))
 
 
 def alike(rows: Sequence[Mapping[str, str]]) -> dict[str, str]:
-    """Return what parts of one feature have in common, by column: "" where their text differs."""
+    """Return the attributes that all rows have in common, by column; "" where their text differs.
+    """
     common = dict(rows[0]) if rows else {}
     for row in rows:
         common = {name: value if row.get(name, "") == value else ""
@@ -272,7 +274,10 @@ def alike(rows: Sequence[Mapping[str, str]]) -> dict[str, str]:
 
 
 def columns_of(rows: Sequence[Mapping[str, str]]) -> dict[str, TextArray]:
-    """Return attributes by column, "" where a row has none; of names alike the first."""
+    """Return attributes by column, (n,) each, "" where a row has none.
+
+    Of names that differ in upper and lower case alone, the first spelling stays.
+    """
     columns = {}
     for name in distinct(chain.from_iterable(rows)):
         columns[name] = text_array([row.get(name, "") for row in rows])
@@ -280,7 +285,10 @@ def columns_of(rows: Sequence[Mapping[str, str]]) -> dict[str, TextArray]:
 
 
 def all_rows(tables: Sequence[Attributes], rows: Sequence[int], name: str) -> TextArray:
-    """Return a column of several tables one after another, with so many rows of each."""
+    """Return a column of several tables one after another, (n,); `rows` are the rows of each.
+
+    Raises TermselError if none of them has it.
+    """
     names = distinct(chain.from_iterable(tables))
     if name.casefold() not in map(str.casefold, names):
         raise unknown_name("column of attributes", name, names,
@@ -289,7 +297,10 @@ def all_rows(tables: Sequence[Attributes], rows: Sequence[int], name: str) -> Te
 
 
 def as_numbers(cells: TextArray, ids: Sequence[str], name: str) -> FloatArray:
-    """Return text as numbers, NaN where it is blank; `ids` are for the message."""
+    """Return text as numbers, (n,), NaN where it is blank.
+
+    Raises TermselError, with the id of `ids`, for a cell that is no number.
+    """
     numbers = np.empty(len(cells))
     for row, cell in enumerate(cells):
         try:
@@ -347,10 +358,10 @@ class Tabular(Glance, Framed):
     attributes: Attributes
 
     def _check(self, kind: str, ends: tuple[int, ...], *reserved: str) -> None:
-        """Make arrays of what was given, and refuse what is no feature.
+        """Make frozen arrays of the fields, and raise TermselError for values no feature can have.
 
         `ends` is the shape of the places of one feature, (2,) of lines; no attributes can have the
-        names `taken`.
+        names `reserved`.
         """
         ids = tuple(str(name).strip() for name in self.ids)  # as files hold them
         n = len(ids)
@@ -446,7 +457,10 @@ def _rows_at(value: Any, rows: NDArray[np.intp]) -> Any:
 
 
 def rows_of(ids: Sequence[str], index: ArrayLike) -> NDArray[np.intp]:
-    """Return the rows that an index of integers or a mask names, each at most once."""
+    """Return the rows, (r,), that an index of integers or a mask names.
+
+    Raises TermselError if it names one more than once.
+    """
     array = np.asarray(index)
     rows = np.arange(len(ids))[array if array.size else np.zeros(0, dtype=np.intp)]
     # A point that is taken twice would count twice in every fit.

@@ -21,11 +21,11 @@ _ORDER_ROUNDING = 1e-9  # a subset reached in another order differs by less
 
 
 def descents(systems: ScoreSystems) -> Iterator[tuple[FloatArray, Masks]]:
-    """Yield ever better subsets of every size, found by adding, dropping and swapping columns.
+    """Yield scores and masks, (k + 1,), of ever better subsets of every size.
 
-    Descents begin with no column, with random subsets, and then with the best of every size after
-    some random swaps, until that has not helped the size for a while, or until they have cost as
-    much as the proof without them: the same on every machine.
+    Descents add, drop and swap columns. They begin with no column, with random subsets, and then
+    with the best of every size after some random swaps, until that has not helped the size for a
+    while, or until they have cost as much as the proof without them: the same on every machine.
     """
     candidates = systems.everything.candidates
     room = systems.everything.room
@@ -56,7 +56,7 @@ def descents(systems: ScoreSystems) -> Iterator[tuple[FloatArray, Masks]]:
 
 
 def _perturb_subset(systems: ScoreSystems, mask: np.uint64, rng: np.random.Generator) -> IntArray:
-    """Return a subset, as indices of the candidates, with some columns replaced by random ones."""
+    """Return a subset with some columns replaced by random ones, as indices of the candidates."""
     inside = (BITS[systems.everything.candidates] & mask) != 0
     members = rng.permutation(np.flatnonzero(inside))
     outsiders = rng.permutation(np.flatnonzero(~inside))
@@ -67,8 +67,8 @@ def _perturb_subset(systems: ScoreSystems, mask: np.uint64, rng: np.random.Gener
 def _descend_from(systems: ScoreSystems, starts: list[IntArray]) -> tuple[FloatArray, Masks, int]:
     """Return the best subset of every size that single changes reach from some subsets.
 
-    Every change of each best subset of a size is tried, until none helps. The last value is the
-    number of nodes that this took.
+    Every change of each best subset of a size is tried, until none helps. Returned are scores and
+    masks, (k + 1,), and the number of nodes that this took.
     """
     centres = [int(BITS[np.concatenate([systems.everything.used, start])].sum())
               for start in starts]

@@ -74,7 +74,7 @@ def rising_bounds(systems: ScoreSystems, best: FloatArray, masks: Masks, node_su
 
 
 def _nodes_of_root(root: SubtreeNode, node_subsets: int) -> Iterator[SubtreeNode]:
-    """Yield nodes of at most so many subsets that together have those of the root."""
+    """Yield nodes of at most `node_subsets` subsets each, which together have those of the root."""
     open_nodes = [root]
     while open_nodes:
         node = open_nodes.pop()

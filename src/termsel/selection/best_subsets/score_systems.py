@@ -304,11 +304,11 @@ class ScoreSystems:
         return np.append(np.ones(c), 1.0 / (self.margin * c))
 
     def _vectors_of_node(self, node: SubtreeNode) -> tuple[Vectors, Limits, FloatArray] | None:
-        """Return the vectors of a node, or None if the columns in use are dependent.
+        """Return a node's vectors, its limits, and the guard's denominators.
 
-        They are taken out here, by LAPACK. With the factor R of the columns [used, later] in
-        blocks [[R_uu, R_ul], [0, R_ll]], the later ones less their parts along the used ones have
-        the inner products of R_ll, which has fewer rows.
+        None if the columns in use are dependent. They are taken out here, by LAPACK. With the
+        factor R of the columns [used, later] in blocks [[R_uu, R_ul], [0, R_ll]], the later ones
+        less their parts along the used ones have the inner products of R_ll, which has fewer rows.
         """
         used = node.used
         n = len(node.candidates)
@@ -373,13 +373,17 @@ def _counts_of_subsets(columns: int, room: int) -> IntArray:
 
 def score_systems(system: SubsetSystem, score: str, folds: Sequence[IntArray],
                   max_terms: int | None) -> ScoreSystems:
-    """Return the systems of a score (see `subsets.search` for what it raises)."""
+    """Return the systems of a score, such as "press".
+
+    Raises TermselError for an unknown score, and for forced, forbidden and most terms that
+    contradict each other.
+    """
     if score not in SCORES:
         raise unknown_name("score", score, SCORES)
     k = system.design.shape[1]
-    forced = _mask_or_nothing(system.forced, k)
-    forbidden = _mask_or_nothing(system.forbidden, k)
-    some_of = _mask_or_nothing(system.some_of, k)
+    forced = _mask_or_no_column(system.forced, k)
+    forbidden = _mask_or_no_column(system.forbidden, k)
+    some_of = _mask_or_no_column(system.some_of, k)
     if (forced & forbidden).any():
         raise TermselError(f"{int((forced & forbidden).sum())} terms are both forced and forbidden")
     used = np.flatnonzero(forced)
@@ -407,8 +411,8 @@ def score_systems(system: SubsetSystem, score: str, folds: Sequence[IntArray],
                         times_held_out=times_held_out)
 
 
-def _mask_or_nothing(mask: BoolArray | None, k: int) -> BoolArray:
-    """Return a mask of k columns; without one, no column is in it."""
+def _mask_or_no_column(mask: BoolArray | None, k: int) -> BoolArray:
+    """Return a mask of k columns, (k,); without one, no column is in it."""
     return np.zeros(k, dtype=bool) if mask is None else np.asarray(mask, dtype=bool)
 
 

@@ -67,9 +67,10 @@ def _scores(systems: ScoreSystems, used: IntArray, members: IntArray,
     """Return the residual sums of squares (1 + members, 1 + outsiders) after each change.
 
     Row 0 keeps all members, the others drop one each; column 0 adds none, so that [0, 0] is the
-    subset itself. Infinite where columns would be dependent. With the residuals v of a column and t
-    of the target, adding the column takes (v't)^2 / v'v off t't. A dropped member gives back what
-    its dual vector u, of length 1, has of them: t grows by (u'b) u, and v by (u'a) u.
+    subset itself. Infinite where columns would be dependent; None if those of the subset are. With
+    the residuals v of a column and t of the target, adding the column takes (v't)^2 / v'v off t't.
+    A dropped member gives back what its dual vector u, of length 1, has of them: t grows by (u'b)
+    u, and v by (u'a) u.
     """
     rows = systems.systems[0]
     subset = np.concatenate([members, used])

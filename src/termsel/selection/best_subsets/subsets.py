@@ -223,7 +223,7 @@ def _branch_and_bound(incumbents: _Incumbents, root: SubtreeNode, cost: Cost | N
 
 
 def _take_improvement(incumbents: _Incumbents, node: SubtreeNode, result: NodeResult) -> bool:
-    """Count a decided node, and take over what is better in it; return whether anything is."""
+    """Count a decided node, and keep its better subsets; return whether there are any."""
     # A limit that no subset reached is no subset's score. The empty subset has the mask 0 too.
     scores = np.where(result.masks > 0, result.best, np.inf)
     scores[0] = result.best[0]
@@ -249,7 +249,7 @@ def estimate_seconds(
     max_terms: int | None = None,
     workers: int = 1,
 ) -> float:
-    """Return the estimated time of `search` [s], which takes the same, from the time of one node.
+    """Return the estimated time of `search` [s], whose arguments these are, from that of one node.
 
     Where bounds rule subsets out (`is_bounded`), this is the time without them.
     """
@@ -276,7 +276,7 @@ def _small_sizes(systems: ScoreSystems) -> Iterator[SubtreeNode]:
 
 def _lower_bounds(best: FloatArray, open_nodes: Sequence[SubtreeNode], closed_sizes: int,
                   limits: FloatArray | float) -> FloatArray:
-    """Return lower bounds of the scores of every size, given the nodes still to be decided.
+    """Return lower bounds of the scores of every size, (k + 1,), given the nodes yet to be decided.
 
     All subsets with less than `closed_sizes` columns are decided; others only below the limits.
     """
@@ -293,7 +293,7 @@ def _lower_bounds(best: FloatArray, open_nodes: Sequence[SubtreeNode], closed_si
 
 def _score_limits(cost: Cost | None, best: FloatArray, largest: float,
                   closed_sizes: int) -> FloatArray:
-    """Return the score of each size above which no subset is of interest.
+    """Return the score of each size, (k + 1,), above which no subset is of interest.
 
     Below, it may have a lower figure than all smaller sizes, or be the best of its size. No score
     is above `largest`. Sizes below `closed_sizes` are decided, and theirs is 0: their best are many
@@ -305,9 +305,10 @@ def _score_limits(cost: Cost | None, best: FloatArray, largest: float,
 
 
 def _competitive_scores(cost: Cost, best: FloatArray, largest: float) -> FloatArray:
-    """Return the score that each size needs for the lowest figure, or its best if it has that.
+    """Return the score (k + 1,) that each size needs for the lowest figure up to it.
 
-    A figure rises with the score of its size, so that bisection finds the score.
+    Of a size that has the lowest figure it is its best score. A figure rises with the score of its
+    size, so that bisection finds the score.
     """
     figures = cost(best)
     # The lowest figure up to each size; NaN where no subset is feasible.
@@ -324,5 +325,5 @@ def _competitive_scores(cost: Cost, best: FloatArray, largest: float) -> FloatAr
 
 
 def _no_subsets(k: int) -> tuple[FloatArray, Masks]:
-    """Return the best of every size before anything is decided."""
+    """Return scores and masks, (k + 1,), before anything is decided: infinite, and empty."""
     return np.full(k + 1, np.inf), np.zeros(k + 1, dtype=np.uint64)

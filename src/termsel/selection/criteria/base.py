@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 def _score_fault(_criterion: Criterion, value: Any, fits: Fits) -> str | None:
-    """Return what is wrong with figures of merit, if anything."""
+    """Return how figures of merit are at fault, such as a wrong shape; None if they are not."""
     return of_shape(value, (len(fits.terms),), finite=False)
 
 
@@ -83,7 +83,10 @@ class Criterion(Configurable, ABC):
         return scores
 
     def subset_folds(self, control: Points) -> tuple[IntArray, ...]:
-        """Return the control points held out together; any make the subset score "kfold"."""
+        """Return the control points held out together, an array of indices each; () by default.
+
+        Any of them make the subset score "kfold".
+        """
         return ()
 
 
@@ -98,6 +101,6 @@ class CheckRmse(Criterion):
     subset_score = "check"
 
     def score(self, fits: Fits) -> FloatArray:
-        """Return the RMSE [px]."""
+        """Return the RMSE at the check features of each individual, (p,) [px]."""
         with np.errstate(over="ignore", invalid="ignore"):
             return np.asarray(np.sqrt((fits.check_errors**2).sum(axis=2).mean(axis=1)))

@@ -34,7 +34,10 @@ class _LeftOut(Criterion):
             self.subset_score = ""
 
     def combined(self, fits: Fits, squares: FloatArray) -> FloatArray:
-        """Return the RMSE, or the figure of another loss."""
+        """Return the RMSE, or the figure of another loss, of each individual, (p,) [px].
+
+        `squares` (p, n) are the squared errors of each feature held out.
+        """
         return fits.rmse(squares, self.options["loss"], self.options["threshold"])
 
 
@@ -156,7 +159,8 @@ def _fold_errors(fits: Fits, fold: IntArray) -> FloatArray:
 
 @lru_cache(maxsize=4)  # a search asks again and again
 def _groups(points: Points, lines: Lines) -> tuple[IntArray, ...]:
-    """Return each feature with its twins, points before lines, by their first ones."""
+    """Return the indices of each feature and its twins, points before lines, by their first ones.
+    """
     labels = twins(points.ground)
     n = len(FeatureSet(points, lines))
     labels = np.concatenate([labels, np.arange(len(labels), n)])

@@ -55,7 +55,8 @@ class Evaluation:
         return Evaluation(self.objectives[index], self.violation[index])
 
     def order(self) -> IntArray:
-        """Return the individuals from best to worst by first objective, feasible ones first."""
+        """Return the individuals, (p,), from best to worst by first objective, feasible ones first.
+        """
         # The last key counts first: violations, then objectives; equal ones stay in their order.
         return np.lexsort((self.objectives[:, 0], self.violation))
 
@@ -84,7 +85,7 @@ class Selection:
     parameters: Mapping[str, Any] = field(default_factory=dict)
 
     def record(self) -> SelectionRecord:
-        """Return what is selected, as the record of a run holds it."""
+        """Return the selection as the record of a run holds it."""
         return SelectionRecord(self.terms, self.features, len(self.terms), len(self.features),
                                self.parameters)
 
@@ -126,7 +127,7 @@ class EnumerablePart:
 
 def evaluation_fault(problem: Problem, value: Any, genes: Genes, *_near: Any,
                      **_named: Any) -> str | None:
-    """Return what is wrong with the evaluation of a population, if anything."""
+    """Return how the evaluation of a population is at fault; None if it is not."""
     n = len(genes)
     names = problem.objectives
     return (of_type(value, Evaluation)
@@ -139,7 +140,7 @@ def _is_number(value: Any) -> bool:
 
 
 def _selection_fault(_problem: Problem, value: Any, *_args: Any) -> str | None:
-    """Return what is wrong with a decoded selection, if anything."""
+    """Return how a decoded selection is at fault; None if it is not."""
     # A record of the run takes names, and values that JSON has.
     fault = of_type(value, Selection)
     if fault is None:

@@ -113,9 +113,9 @@ redundant."""
 
 
 def most_terms(equations: IntArray, share: float, freedom: int = 1) -> IntArray:
-    """Return how many terms so many equations support, as a share of these.
+    """Return the most terms that numbers of equations (s,) support, as a share of them, (s,).
 
-    At least `freedom` degrees of freedom are left.
+    At least `freedom` degrees of freedom remain.
     """
     # 0.29 of 100 is 29, which rounding makes 28.999...
     rounding = 1e-9

@@ -46,7 +46,7 @@ class Named:
 
 
 def _genes_fault(segment: CustomSegment, value: Any, *_args: Any) -> str | None:
-    """Return what is wrong with genes that a method of a segment returned, if anything."""
+    """Return how genes that a method of a segment returned are at fault; None if they are not."""
     fault = of_shape(value, (-1, segment.size))
     if fault is None and (genes_fault := segment.fault(value)):
         return f"returned genes that {genes_fault}"
@@ -107,7 +107,7 @@ class CustomSegment(Named, Guarded):
         return self.unlocked(rng.random((n, self.keys)))
 
     def fault(self, genes: Genes) -> str:
-        """Return what is wrong with genes of any dtype, or nothing: they differ when repaired."""
+        """Return how genes of any dtype are at fault; "" if `repaired` leaves them as they are."""
         return "" if np.array_equal(self.repaired(genes), genes) else "are not valid as they are"
 
     def crossed(self, parents_1: Genes, parents_2: Genes,

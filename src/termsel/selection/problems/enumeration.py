@@ -128,8 +128,9 @@ def _side(model: RationalModel, inputs: ProblemData, equations: Equations, image
     if parents is not None:
         axis_parents = parents[np.ix_(term_axes == image_axis, term_axes == image_axis)]
     system = SubsetSystem(control.A, control.b[:, None],
-                          denominator=_below(model, points.ground, image_axis),
-                          guard_denominator=_below(model, guard, image_axis), margin=margin,
+                          denominator=_denominator_columns(model, points.ground, image_axis),
+                          guard_denominator=_denominator_columns(model, guard, image_axis),
+                          margin=margin,
                           # An axis without any term is no model of the image.
                           some_of=np.ones(control.A.shape[1], dtype=bool), parents=axis_parents)
     if inputs.criterion.needs_check:
@@ -154,7 +155,7 @@ def _with_check(system: SubsetSystem, model: RationalModel, inputs: ProblemData,
         A = A - weights @ control_equations.A
         b = b - weights @ control_equations.b
     return replace(system, check_design=A, check_target=b[:, None],
-                   check_denominator=_below(model, check.ground, image_axis))
+                   check_denominator=_denominator_columns(model, check.ground, image_axis))
 
 
 def _axis_of_points(model: RationalModel, points: Points, image_axis: int) -> Equations:
@@ -165,8 +166,12 @@ def _axis_of_points(model: RationalModel, points: Points, image_axis: int) -> Eq
     return rows.take(np.arange(len(rows.b)) % 2 == image_axis, model.axis == image_axis)
 
 
-def _below(model: RationalModel, ground: FloatArray, image_axis: int) -> FloatArray | None:
-    """Return the linear form of one axis' denominator at ground points, shape (n, columns)."""
+def _denominator_columns(model: RationalModel, ground: FloatArray,
+                         image_axis: int) -> FloatArray | None:
+    """Return the linear form of one axis' denominator at ground points, shape (n, columns).
+
+    None for a model without denominators.
+    """
     # 1 + d x is linear in the coefficients x: those of unit vectors, less 1, are its columns d.
     unit_vectors = np.eye(len(model.terms))[model.axis == image_axis]
     below = model.denominators(unit_vectors, ground)

@@ -52,7 +52,7 @@ def row_systems(inputs: ProblemData, independent: tuple[IndependentPart, ...], t
 
 
 def _fewest_rows(terms: int, rows: int, share: float, freedom: int) -> int:
-    """Return how few equations support so many terms."""
+    """Return the fewest equations, up to `rows`, that support a number of terms; else rows + 1."""
     # The number of supported terms rises with the rows: the first that is enough.
     supported = most_terms(np.arange(rows + 1), share, freedom)
     return int(np.searchsorted(supported, terms))

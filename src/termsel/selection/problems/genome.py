@@ -65,7 +65,7 @@ class Genome:
         self._refuse_unreachable()
 
     def _refuse_unreachable(self) -> None:
-        """Refuse cardinalities that forced genes leave no selection for."""
+        """Raise TermselError for cardinalities that forced genes leave no selection for."""
         # As many as the minimum must be allowed on, and what is forced on must be allowed by the
         # maximum.
         for segment, labels in self._segments_switched():
@@ -189,14 +189,14 @@ class Genome:
         return segment.members(mask)
 
     def fault(self, genes: object) -> str | None:
-        """Return what is wrong with genes and what was expected, if anything.
+        """Return how genes are at fault, and what was expected; None if they are not.
 
         Dtype, shape and bounds are looked at; of `Bits` neither what is forced nor how many are on.
 
         Parameters
         ----------
         genes : object
-            What should be a population.
+            Meant to be a population.
         """
         # The type must be that of the genome: solvers write into arrays of it.
         if not isinstance(genes, np.ndarray) or genes.dtype != self.dtype or genes.ndim != 2 \

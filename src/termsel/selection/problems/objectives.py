@@ -47,17 +47,17 @@ class PopulationSelection:
 
 
 def n_terms(selected: PopulationSelection) -> FloatArray:
-    """Return the number of terms in use."""
+    """Return the number of terms in use of each individual, (p,)."""
     return np.asarray(selected.terms.sum(axis=1), dtype=np.float64)
 
 
 def n_features(selected: PopulationSelection) -> FloatArray:
-    """Return the number of control features in use."""
+    """Return the number of control features in use of each individual, (p,)."""
     return np.asarray(selected.features.sum(axis=1), dtype=np.float64)
 
 
 def unit_deviations(design: FloatArray) -> FloatArray:
-    """Return columns less their means, of length 1; 0 where they are constant but for rounding."""
+    """Return columns (m, k) less their means, of length 1; 0 where constant but for rounding."""
     # A constant column has no deviations but rounding: it is correlated with nothing.
     centred = design - design.mean(axis=0)
     lengths = np.linalg.norm(centred, axis=0)
@@ -87,7 +87,10 @@ def max_correlation(selected: PopulationSelection) -> FloatArray:
 
 
 def log_condition(selected: PopulationSelection) -> FloatArray:
-    """Return log10 of the condition number of the used rows and columns, scaled to length 1."""
+    """Return log10 of the condition number of the used rows and columns, (p,).
+
+    Columns are scaled to length 1. It is _SINGULAR where they are dependent, or more than the rows.
+    """
     A = selected.equations.A
     feature = selected.equations.feature
     result = np.empty(len(selected.terms))
@@ -108,15 +111,15 @@ _SINGULAR = 16.0
 
 
 def uncovered(selected: PopulationSelection) -> FloatArray:
-    """Return the share of the image outside the hull of the selected features."""
+    """Return the share of the image outside the hull of the selected features, (p,), 0 to 1."""
     return uncovered_share(centres(selected.control), selected.features)
 
 
 def unevenness(selected: PopulationSelection) -> FloatArray:
-    """Return the unevenness of the selected features: 0 if all are equally far from the nearest.
+    """Return the unevenness of the selected features, (p,): 0 if equally far from the nearest.
 
-    The coefficient of variation of the distances to the nearest selected neighbour in the
-    image; 1 for fewer than three features. termsel's own measure.
+    The coefficient of variation of the distances to the nearest selected neighbour in the image; 1
+    for fewer than three features. termsel's own measure.
     """
     positions = centres(selected.control)
     distance = np.linalg.norm(positions[:, None] - positions[None], axis=2)
@@ -154,7 +157,9 @@ class Objective:
 
 
 def scored(objective: Objective, selected: PopulationSelection) -> FloatArray:
-    """Return the figures of an objective; refuse, naming the plugin, others than one finite each.
+    """Return the figures of an objective, (p,), one finite number for each individual.
+
+    Raises PluginFault, naming the plugin, for others.
     """
     score = objective.score
     called = "" if is_own(score) else named_function(f"objective {objective.name!r}", score)

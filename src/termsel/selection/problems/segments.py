@@ -94,7 +94,7 @@ class Bits(Named):
         return 0, 1
 
     def random(self, rng: np.random.Generator, n: int) -> BoolArray:
-        """Return the genes of n individuals, each with its own random share of genes on.
+        """Return the genes of n individuals, (n, size), each with its own random share of genes on.
 
         The share is uniform between 0 and 1, so that small and large selections are equally
         frequent. With one half for all, a genome of 78 would hardly ever have 20 on.
@@ -104,11 +104,11 @@ class Bits(Named):
         return np.asarray(rng.uniform(size=(n, self.size)) < share)
 
     def repaired(self, genes: Genes) -> BoolArray:
-        """Return genes of this type; numbers above one half are on."""
+        """Return genes (p, size) as bool; numbers above one half are on."""
         return genes if genes.dtype == np.bool_ else np.asarray(genes > 0.5)
 
     def fault(self, genes: Genes) -> str:
-        """Return what is wrong with genes of any dtype, or nothing."""
+        """Return how genes of any dtype are at fault; "" if they are not."""
         return "" if ((genes == 0) | (genes == 1)).all() else "are not all 0 or 1"
 
     def value(self, genes: Genes) -> tuple[str, ...]:
@@ -116,11 +116,11 @@ class Bits(Named):
         return select(self.labels, genes.astype(bool))
 
     def mask(self, genes: Genes) -> Genes:
-        """Return what is on: the genes themselves."""
+        """Return the genes (p, size): each is its own mask."""
         return genes
 
     def members(self, mask: BoolArray) -> Genes:
-        """Return genes from a mask of what is on, which they are."""
+        """Return a mask (p, size) as genes, which it is."""
         return mask
 
 

@@ -153,7 +153,9 @@ class SelectionProblem(Problem):
         return problem
 
     def with_model(self, model: SensorModel) -> SelectionProblem:
-        """Return the problem with another model, for the same features; refuse one of other terms.
+        """Return the problem with another model, which must have the same terms, for its features.
+
+        Raises TermselError if it has other terms.
         """
         if model.terms != self.inputs.model.terms:
             raise TermselError(f"model {model.name!r} with other options has other terms, so they "
@@ -278,7 +280,10 @@ class SelectionProblem(Problem):
         return self._masks(self.genome.chosen(genes))
 
     def _masks(self, labels_on: BoolArray) -> tuple[BoolArray, BoolArray | None]:
-        """Return the masks of what is chosen by the labels of the genome."""
+        """Return masks of terms (p, k) and of features (p, n) from the labels that are on.
+
+        That of features is None where the problem selects terms alone.
+        """
         terms = (np.repeat(self._terms_in_use[None], len(labels_on), axis=0)
                  if self._gene_of_term is None else labels_on[:, self._gene_of_term])
         return terms, labels_on[:, self._n_term_genes:] if self._selects_features else None
@@ -303,7 +308,11 @@ class SelectionProblem(Problem):
                                 margin=self._margin, pairs=self._pairs)
 
     def row_systems(self) -> tuple[RowSystem, ...] | None:
-        """Return the parts of a selection of features alone (see `Problem.row_systems`)."""
+        """Return the parts of a selection of features alone (see `Problem.row_systems`).
+
+        None where terms are selected; () where each selection has equations or an objective of its
+        own.
+        """
         if self._gene_of_term is not None or not self._selects_features:
             return None
         # A plugin's own objective, or equations of each selection's own.
@@ -337,7 +346,7 @@ class SelectionProblem(Problem):
         return np.concatenate(blocks)
 
     def _empty_axes(self, terms: BoolArray) -> FloatArray:
-        """Return how many axes of each individual have no term."""
+        """Return how many axes of each individual have no term, (p,)."""
         axis = self.inputs.model.axis
         if not np.isin([LINE, SAMPLE], axis).all():
             return np.zeros(len(terms))
@@ -365,7 +374,10 @@ def _terms_in_use(inputs: ProblemData) -> BoolArray:
 
 
 def _feature_counts(inputs: ProblemData) -> tuple[int, int | None]:
-    """Return the fewest and the most features, from the options of these names."""
+    """Return the options `min_features`, 0 if it is not given, and `max_features`, None if not.
+
+    Raises TermselError where they contradict each other or the number of features.
+    """
     n = len(inputs.control)
     counts = {name: inputs.options.get(name) for name in ("min_features", "max_features")}
     for name, count in counts.items():
@@ -382,7 +394,7 @@ def _feature_counts(inputs: ProblemData) -> tuple[int, int | None]:
 
 def _term_segments(names: tuple[str, ...], axis: IntArray, mask: str,
                    ) -> tuple[list[Bits], IntArray]:
-    """Return the segments of term genes and the gene that switches each term."""
+    """Return the segments of term genes, and the gene that switches each of the k terms, (k,)."""
     if mask == "shared":
         # "line.num:X2Y" and "sample.num:X2Y" share the gene "num:X2Y".
         shared = [str(Term.parse(name).shared) for name in names]

@@ -51,7 +51,7 @@ class Generation:
 
 
 def _generation_fault(_solver: Solver, value: Any, problem: Problem, *_args: Any) -> str | None:
-    """Return what is wrong with a generation, if anything."""
+    """Return how a generation is at fault, such as an index below 0; None if it is not."""
     fault = of_type(value, Generation)
     if fault is not None:
         return fault.replace("returned", "yielded")

@@ -58,11 +58,14 @@ class Budget:
 
     @property
     def deadline(self) -> float | None:
-        """Time by `time.perf_counter` at which the budget of time is spent."""
+        """Time by `time.perf_counter` at which the budget of time is spent; None without one."""
         return None if self.seconds is None else self.start + self.seconds
 
     def share(self, generation: Generation, ledger: Ledger) -> float | None:
-        """Return the spent fraction of the budget that is spent first."""
+        """Return the spent fraction of the budget that is spent first, 0 to 1.
+
+        Without a budget it is what the solver says, None if it says nothing.
+        """
         elapsed = time.perf_counter() - self.start
         shares = [value / limit for value, limit in (
             (generation.index, self.generations), (ledger.count, self.evaluations),

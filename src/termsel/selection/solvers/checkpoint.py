@@ -95,7 +95,10 @@ class Checkpoint:
                                "file, and free space, or name another.") from error
 
     def _read(self, lines: Sequence[bytes]) -> None:
-        """Take the lines of an earlier process."""
+        """Keep the lines of an earlier process by their stage.
+
+        Raises TermselError if they are no checkpoint, or one of them is damaged.
+        """
         try:
             # Another file by mistake: its content must not be lost.
             head = msgspec.json.decode(lines[0], type=_Head) if lines else None

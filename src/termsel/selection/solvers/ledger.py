@@ -82,17 +82,27 @@ class Ledger(ProblemAround):
             "your own over processes, use the problem of termsel.prepare.")
 
     def evaluate(self, genes: Genes) -> Evaluation:
-        """Return the evaluation, computing only what is not known."""
+        """Return the evaluation of genes (n, size); genes evaluated before are looked up.
+
+        Raises BudgetSpent when the budget ends.
+        """
         with own_code():
             return self._evaluate(genes)
 
     def evaluate_near(self, genes: Genes, near: Genes) -> Evaluation:
-        """Return the evaluation of neighbours likewise (see `Problem.evaluate_near`)."""
+        """Return the evaluation of neighbours of `near`, as `evaluate` does.
+
+        See `Problem.evaluate_near`.
+        """
         with own_code():
             return self._evaluate(genes, near)
 
     def _evaluate(self, genes: Genes, near: Genes | None = None) -> Evaluation:
-        """Evaluate as far as the budget goes; then end the search."""
+        """Return the evaluation of genes, near some others if given.
+
+        Genes beyond the budget are not evaluated; then BudgetSpent is raised, which ends the
+        search.
+        """
         if self.deadline is not None and self.count and time.perf_counter() > self.deadline \
                 and not self.is_replaying:
             raise BudgetSpent
@@ -231,7 +241,7 @@ class Ledger(ProblemAround):
 
 
 def _keys(genes: Genes) -> list[bytes]:
-    """Return a key for each individual; only equal ones have the same."""
+    """Return a key for each individual; equal individuals alone have equal keys."""
     # Eight bits a byte; numbers byte by byte, of which 0 and -0 are the same number.
     rows = np.ascontiguousarray(np.packbits(genes, axis=1) if genes.dtype == np.bool_
                                 else genes + genes.dtype.type(0))  # no negative zero

@@ -257,7 +257,7 @@ def search(
         # The refinement has what is left of the whole budget of time.
         if polish and ledger.best_genes is not None and not told.ended:
             ledger.deadline = None if seconds is None else start + seconds
-            _write(ledger)
+            _write_checkpoint(ledger)
             ledger.stage = refinement_stage
             refined = refine(ledger, rng, generation, evaluations, told)
     except KeyboardInterrupt:  # what is known by now is the result
@@ -266,7 +266,7 @@ def search(
         answered()
         interrupted = True
     finally:
-        _write(ledger)
+        _write_checkpoint(ledger)
     if ledger.best_genes is None:
         raise _error_without_evaluation(solver, generation)
     if told.ended:
@@ -285,8 +285,8 @@ def search(
                   ended_by_observer=told.ended, gains=tuple(ledger.gains))
 
 
-def _write(ledger: Ledger) -> None:
-    """Write what the checkpoint of a search has not written yet."""
+def _write_checkpoint(ledger: Ledger) -> None:
+    """Write the lines of a search's stage that its checkpoint lacks, if it has a checkpoint."""
     if ledger.stage is not None:
         ledger.stage.write()
 
@@ -349,8 +349,10 @@ def _handles(solver: Solver | type[Solver], types: Iterable[type]) -> bool:
 
 
 def _require_declared(problem: Problem) -> None:
-    """Refuse a genome that is none, and objectives that are not named one by one: the letters of a
-    str would be taken."""
+    """Raise TermselError unless the genome is a Genome, and objectives are named one by one.
+
+    Of a str the letters would be taken for names.
+    """
     genome = getattr(problem, "genome", None)
     names = getattr(problem, "objectives", None)
     fault = ""

@@ -70,7 +70,7 @@ def _remove_column(vectors: Vectors, depth: int, i: int, c: int) -> None:
 
 @_compiled
 def _allowed_residuals(best: float, limits: Limits) -> float:
-    """Return what columns may leave of errors whose score is not certainly above the best."""
+    """Return the sum of squares beyond which a score is certainly above the best."""
     return best * (1.0 + 1e-9) + limits.slack - limits.offset
 
 

@@ -71,7 +71,8 @@ def prepare(top: FloatArray, extra: FloatArray, first: int, n: int, upper: Float
 def _write_products(rows: FloatArray, height: int, weighted: bool, first: int, n: int,
                     products: Products,
                     b: SubsetBlock) -> float:
-    """Write the inner products of columns at level 0; return the target's with itself."""
+    """Write the inner products of columns from `first` on at level 0; return the target's square.
+    """
     count = n - first
     # Column `count` is the target. Each product is needed once: the matrix is symmetric.
     for i in range(count + 1):

@@ -9,9 +9,9 @@ from termsel.data.features import BoolArray, FloatArray, IntArray
 
 
 def triangle_of(rows: FloatArray, n: int) -> tuple[FloatArray, float]:
-    """Return n rows with the same inner products of the n columns with all vectors.
+    """Return n rows with the same inner products of the n columns with all vectors, (n, n + t).
 
-    The part of the targets that is orthogonal to all columns is lost; its sum of squares is
+    The part of the t targets that is orthogonal to all columns is lost; its sum of squares is
     returned.
     """
     triangle = np.asarray(np.linalg.qr(rows, mode="r")) if len(rows) > n else rows
@@ -20,14 +20,15 @@ def triangle_of(rows: FloatArray, n: int) -> tuple[FloatArray, float]:
 
 
 def fewer_rows(rows: FloatArray) -> FloatArray:
-    """Return as many rows as columns, or fewer, with the same inner products."""
+    """Return rows (m, k) as at most k rows with the same inner products of their columns."""
     return np.asarray(np.linalg.qr(rows, mode="r")) if len(rows) > rows.shape[1] else rows
 
 
 def by_gain(control: FloatArray, forced: IntArray, free: IntArray, k: int) -> IntArray:
-    """Return columns by how much each explains in addition to those before it.
+    """Return the free columns, (f,), by how much each explains in addition to those before it.
 
-    Subsets that lack the first of them then have a high bound.
+    Forced ones are before all of them. The first k columns of `control` are the design, the others
+    are targets. Subsets that lack the first of the free columns then have a high bound.
     """
     remainders = control
     # A column that depends on those before it explains nothing, whatever rounding leaves of it.
@@ -62,7 +63,7 @@ def by_halves(free: IntArray, below: BoolArray) -> IntArray:
 
 
 def _orthogonal_to(rows: FloatArray, j: int) -> FloatArray:
-    """Return the columns orthogonal to column j."""
+    """Return rows (m, k) less the part of each column along column j, which becomes 0."""
     square = rows[:, j] @ rows[:, j]
     if square == 0.0:
         return rows

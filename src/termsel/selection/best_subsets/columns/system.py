@@ -109,7 +109,7 @@ class SubsetSystem:
 
 
 def count_subsets(columns: int, max_terms: int | None = None) -> int:
-    """Return the number of subsets of so many columns, with at most `max_terms` members."""
+    """Return the number of subsets of a number of columns, with at most `max_terms` members."""
     max_size = columns if max_terms is None else min(columns, max_terms)
     return sum(comb(columns, size) for size in range(max_size + 1))
 
@@ -149,7 +149,10 @@ class NodeResult:
 
 def better(best: FloatArray, masks: Masks, other_best: FloatArray,
            other_masks: Masks) -> tuple[FloatArray, Masks]:
-    """Return the better subset of each size; of equal scores the smallest mask."""
+    """Return the better subset of each size: its score and its mask, both (k + 1,).
+
+    Of equal scores it is the smallest mask.
+    """
     # The order of nodes must not matter, so that ties have to be broken by the subset itself.
     wins = (other_best < best) | ((other_best == best) & (other_masks < masks))
     return np.where(wins, other_best, best), np.where(wins, other_masks, masks)

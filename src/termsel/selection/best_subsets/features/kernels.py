@@ -46,7 +46,7 @@ def walk(rows: FeatureRows, state: WalkState, space: EntrySpace, first: int, siz
          limits: SelectionLimits, remaining: RemainingSelections) -> int:
     """Decide a selection of some size and all with features from `first` on in addition.
 
-    Return how many remain: so many first rows of `remaining` are filled.
+    Return how many may be within the limits: the first rows of `remaining` hold them.
     """
     n = len(rows.bits)
     mask = state.mask
@@ -132,7 +132,10 @@ def _keep_selection(state: WalkState, depth: int, size: int, limits: SelectionLi
 @_compiled
 def _keep_extensions(rows: FeatureRows, space: EntrySpace, first: int, mask: Any, limit: float,
                      remaining: RemainingSelections, count: int) -> int:
-    """Take down what is within its limit of a selection with each feature from `first` on."""
+    """Write to `remaining` each extension of a selection by a feature that is within its limit.
+
+    Features count from `first` on. Return the number of rows of `remaining` then in use.
+    """
     for j in range(first, len(rows.bits)):
         if space.totals[j] <= limit:
             for w in range(len(mask)):

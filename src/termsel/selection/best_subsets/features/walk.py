@@ -136,7 +136,10 @@ class Selections:
         return bool(self.systems) and not is_compiled(walk)
 
     def reach(self, squares: FloatArray) -> FloatArray:
-        """Return the scores up to which squared errors may be below these, given rounding."""
+        """Return limits of computed squared errors, of the shape of `squares`, raised by rounding.
+
+        A selection whose computed square is above its limit certainly has more than `squares`.
+        """
         rounding = 1e-13 * sum(float(system.check_target @ system.check_target)
                                for system in self.systems)
         return np.asarray(squares * (1.0 + SQUARES_MARGIN) + rounding)
@@ -172,7 +175,7 @@ class Selections:
         return selections, remaining.scores[:count] + self.floor
 
     def _all_selections(self, branch: Branch) -> BoolArray:
-        """Return all selections of a branch, one by one, where none is scored."""
+        """Return all selections of a branch, (s, n), one by one, where none is scored."""
         fixed = int(self.on.sum())
         used = len(branch.used)
         candidates = range(branch.first, len(self.free))
@@ -300,7 +303,7 @@ def _feature_masks(n: int) -> Any:
 
 
 def _condense_rows(A: FloatArray, b: FloatArray, k: int) -> tuple[FloatArray, FloatArray]:
-    """Return at most k rows with the same normal equations: with A = Q R, R'R = A'A."""
+    """Return at most k rows A and b with the same normal equations: with A = Q R, R'R = A'A."""
     if len(b) <= k:
         return A, b
     q, r = np.linalg.qr(A)

@@ -104,7 +104,7 @@ class _Posed(PymooProblem):
         broken = np.zeros(len(genes))
         if genome.dtype == np.bool_:
             # pymoo's own operators know of no forced genes and counts.
-            broken = _broken(self.problem, genes)
+            broken = _count_broken_rules(self.problem, genes)
         else:  # numbers are rounded to what their genes allow
             genes = genome.repair(genes, np.random.default_rng(0))
         evaluation = self.problem.evaluate(genes)
@@ -112,8 +112,8 @@ class _Posed(PymooProblem):
         out["G"] = (evaluation.violation + broken)[:, None]
 
 
-def _broken(problem: Problem, genes: Genes) -> FloatArray:
-    """Return how many genes break what is forced, and counts of segments, shape (p,)."""
+def _count_broken_rules(problem: Problem, genes: Genes) -> FloatArray:
+    """Return how many genes of each individual break a forced gene or a cardinality, (p,)."""
     genome = problem.genome
     count: FloatArray = ((genes & genome.off) | (~genes & genome.on)).sum(axis=1).astype(float)
     for segment, columns in zip(genome.segments, genome.slices().values(), strict=True):

@@ -157,7 +157,7 @@ class GeneticAlgorithm(Solver):
         return box
 
     def survivors(self, genes: Genes, evaluation: Evaluation) -> IntArray:
-        """Return which chromosomes survive unchanged, at most all but one."""
+        """Return the indices of the chromosomes that survive unchanged, the best, but never all."""
         return evaluation.order()[:min(self.options["elite"], len(genes) - 1)]
 
     def children(self, box: base.Toolbox, genes: Genes, evaluation: Evaluation,

@@ -129,7 +129,8 @@ class SteadyStateGA(GeneticAlgorithm):
         return box
 
     def survivors(self, genes: Genes, evaluation: Evaluation) -> IntArray:
-        """Return which chromosomes survive: the best that differ from each other."""
+        """Return the indices of the chromosomes that survive: the best that differ from each other.
+        """
         order = evaluation.order()
         # Twins are those of equal genes: the first of each stays, in order.
         first = np.sort(np.unique(genes[order], axis=0, return_index=True)[1])

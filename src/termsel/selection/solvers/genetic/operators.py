@@ -226,7 +226,7 @@ def _between_two_places(genes: Genes, rng: np.random.Generator) -> BoolArray:
 
 
 def flip_bits(genes: BoolArray, probability: float, rng: np.random.Generator) -> BoolArray:
-    """Return genes, each flipped with the given chance."""
+    """Return genes (p, size), each flipped with the given chance."""
     return genes ^ (rng.random(genes.shape) < probability)
 
 

@@ -286,7 +286,8 @@ class ImperialistCompetition(Solver):
 
     def _move(self, problem: Problem, genes: BoolArray, evaluation: Evaluation, world: Empires,
               rng: np.random.Generator) -> tuple[BoolArray, Evaluation]:
-        """Return the countries after assimilation and revolution of the colonies."""
+        """Return genes and evaluation of all countries after the colonies have moved and revolted.
+        """
         o = self.options
         colonies = np.delete(np.arange(len(genes)), world.imperialists)
         shape = (len(colonies), genes.shape[1])
@@ -312,7 +313,7 @@ class ImperialistCompetition(Solver):
     def _generation(self, index: int, genes: BoolArray, evaluation: Evaluation,
                     cost: FloatArray, world: Empires,
                     first_empires: int) -> Generation:
-        """Return a generation with what its charts show of the empires.
+        """Return a generation with the figures of the empires that its charts show.
 
         There were `first_empires`; those that have vanished have no country.
         """

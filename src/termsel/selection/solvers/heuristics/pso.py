@@ -17,7 +17,7 @@ from termsel.selection.solvers.genetic.operators import from_keys, n_keys
 
 
 def improved(evaluation: Evaluation, best: Evaluation) -> BoolArray:
-    """Return where individuals are better than those in the same row, feasible ones first."""
+    """Return which individuals, (p,), beat those in the same row of `best`, feasible ones first."""
     return np.asarray(
         (evaluation.violation < best.violation)
         | ((evaluation.violation == best.violation)
@@ -40,7 +40,7 @@ def leaders(order: IntArray, reach: int) -> IntArray:
 
 
 def sigmoid(velocity: FloatArray) -> FloatArray:
-    """Return the chance that a gene is on, the transfer function of the binary swarm."""
+    """Return the chance that a gene is on, 1 / (1 + exp(-v)), of the shape of the velocity v."""
     return np.asarray(1.0 / (1.0 + np.exp(-velocity)))
 
 
@@ -148,7 +148,7 @@ def _next_velocities(parameters: Mapping[str, Any], index: int, velocity: FloatA
                      position: FloatArray,
                      best_position: Genes, best_evaluation: Evaluation,
                      rng: np.random.Generator) -> FloatArray:
-    """Return the velocities of the next step."""
+    """Return the velocities of the next step, (p, size)."""
     share = min(index / parameters["iterations"], 1.0)
     # v <- w v + c1 r1 (own best - x) + c2 r2 (leader - x), with w from first to last.
     inertia = parameters["inertia"] + share * (parameters["inertia_last"] - parameters["inertia"])

@@ -20,7 +20,7 @@ fit into memory."""
 
 
 def moves(genes: Genes, problem: Problem) -> Iterator[Genes]:
-    """Yield the moves of a problem of its own, then all `neighbours`."""
+    """Yield the moves that the problem itself offers, then all `neighbours`."""
     yield from problem.moves(genes)
     yield from neighbours(genes, problem.genome)
 
@@ -64,7 +64,7 @@ def _neighbours_in_segment(genes: Genes, genome: Genome, segment: AnySegment) ->
 
 
 def _neighbours_of_bits(genes: BoolArray, genome: Genome) -> Iterator[BoolArray]:
-    """Yield the neighbours in a genome of bits alone."""
+    """Yield the neighbours in a genome of bits alone, in batches (b, size)."""
     flips: list[IntArray] = []  # genes that may be switched without leaving the cardinality
     # Pairs of one gene of the first and one of the second, of which there may be very many: they
     # are numbered, and made when their batch is. A flip is a pair of the gene with itself.
@@ -191,7 +191,7 @@ def _better(genes: Genes, evaluation: Evaluation, other_genes: Genes,
 
 
 def _rank(evaluation: Evaluation) -> tuple[float, float]:
-    """Return what a single individual is compared by: its violation, then its objective."""
+    """Return violation and objective of a single individual, in the order in which they compare."""
     return float(evaluation.violation[0]), float(evaluation.objectives[0, 0])
 
 

@@ -70,7 +70,10 @@ def gap(problem: Problem, reached: float) -> dict[str, Any] | None:
 
 
 def _quick_optimum(problem: Problem) -> tuple[float, int, str] | None:
-    """Return the proven optimum, the number of subsets and their space, if known quickly."""
+    """Return the proven optimum, the number of subsets and their space in words.
+
+    None if a proof is not quick, or finds nothing feasible.
+    """
     systems = problem.row_systems()
     if systems is not None:
         return quick_optimum(problem, systems)
@@ -91,7 +94,7 @@ def _quick_optimum(problem: Problem) -> tuple[float, int, str] | None:
 
 
 def gap_of(reached: float, optimum: float) -> dict[str, float | None]:
-    """Return the optimum, and the relative gap of a solution."""
+    """Return `optimum`, and `gap`: how far `reached` is above it, as a share; None if it is 0."""
     return {"optimum": optimum, "gap": max(0.0, reached / optimum - 1) if optimum > 0 else None}
 
 
@@ -162,7 +165,10 @@ class Exact(Solver):
 
 
 def _certifier(problem: Problem, max_terms: int | None) -> Callable[[Genes], dict[str, Any] | None]:
-    """Return what makes the certificate of an optimum: its content, None where it cannot."""
+    """Return a function of the optimum's genes that returns its certificate, None without one.
+
+    Raises TermselError where the package of certificates is not installed.
+    """
     certifier = part_of("certificate", "a certificate requires")
     rooms = [limits_of(problem, subproblem, max_terms)[1] for subproblem in problem.parts()]
     certify: Callable[[Genes], dict[str, Any] | None] = certifier(problem, rooms)
@@ -201,7 +207,7 @@ def _require_unbeaten(problem: Problem, proof: Proof, generation: Generation,
 
 def _estimate(problem: Problem, subproblems: tuple[EnumerablePart, ...], max_terms: int | None,
               workers: int) -> str:
-    """Return how long it takes, where no bound makes that unknown."""
+    """Return the end of a sentence on how long a proof takes; "" where bounds make that unknown."""
     if any(subsets.is_bounded(subproblem.system, subproblem.score, subproblem.folds)
            for subproblem in subproblems):
         return ""

@@ -51,7 +51,7 @@ def selections_of(problem: Problem, systems: tuple[RowSystem, ...]) -> Selection
 
 
 def space_of(selections: Selections) -> str:
-    """Return in words what is decided."""
+    """Return the selections that a proof decides, in words."""
     n = selections.n
     fewest = selections.min_size
     largest = selections.max_size
@@ -63,7 +63,7 @@ def space_of(selections: Selections) -> str:
 
 
 def estimate_seconds(selections: Selections, workers: int) -> float:
-    """Return the estimated time of a proof without what is evaluated [s]."""
+    """Return the estimated time of a proof [s], without that of evaluations."""
     branch = selections.root
     with_first = False
     # Every second feature is in use, as in the selections of which there are most.
@@ -127,7 +127,7 @@ def proof_generations(problem: Problem, systems: tuple[RowSystem, ...], workers:
                       max_terms: int | None) -> Iterator[Generation]:
     """Yield the best so far, with a certificate, until every selection of features is decided.
 
-    Refuses too many features, and `max_terms`, which limits nothing here.
+    Raises TermselError for too many features, and for `max_terms`, which limits nothing here.
     """
     if max_terms is not None:
         raise TermselError("max_terms limits terms, and this problem selects features",
@@ -155,9 +155,10 @@ def proof_generations(problem: Problem, systems: tuple[RowSystem, ...], workers:
 
 def quick_optimum(problem: Problem,
                   systems: tuple[RowSystem, ...]) -> tuple[float, int, str] | None:
-    """Return the proven optimum, the number of selections and their space, if known quickly.
+    """Return the proven optimum, the number of selections and their space in words.
 
-    Refuses too many features.
+    None if a proof is not quick, or finds nothing feasible. Raises TermselError for too many
+    features.
     """
     selections = selections_of(problem, systems)
     total = selections.count(selections.root)
@@ -193,11 +194,11 @@ class _Records:
         self.floor = float(np.sqrt(selections.floor / self.points)) if selections.systems else 0.0
 
     def state(self, decided: int, total: int) -> FeatureProof:
-        """Return the state, of which nothing will change."""
+        """Return the state as a copy, which later steps do not change."""
         return FeatureProof(self.best.copy(), dict(self.genes), decided, total, self.floor)
 
     def limits(self) -> FloatArray:
-        """Return squared errors above which no selection of each size is better."""
+        """Return squared errors, by size (n + 1,), above which no selection is better."""
         if not self.selections.systems:
             return np.full(len(self.best), np.inf)
         return np.asarray(self.best**2 * self.points)
@@ -222,7 +223,7 @@ class _Records:
                 of_size = of_size[:max(start, within_limit)]
 
     def take(self, genes: Genes, evaluation: Evaluation) -> None:
-        """Remember what is feasible and better than what is known of its size."""
+        """Keep the feasible individuals that are better than the best of their size so far."""
         sizes = self.problem.genome.chosen(genes).sum(axis=1)
         # From the best on: of each size only the first can be better than what is known.
         feasible = np.flatnonzero(evaluation.violation == 0)

@@ -37,7 +37,8 @@ class SizeProof:
 
     @property
     def gap(self) -> float | None:
-        """How far it is above the best of its size at most, as a share of that."""
+        """How far the objective is above its lower bound, as a share of that; None without a bound.
+        """
         if self.optimal:
             return 0.0
         return self.objective / self.bound - 1 if self.bound and self.bound > 0 else None
@@ -73,7 +74,10 @@ class Proof:
         return all(result.complete for result in self.results)
 
     def _costs(self, floor: bool = False) -> list[FloatArray]:
-        """Return the cost of the best subset of each size, or the least that it may have."""
+        """Return the cost of the best subset of each size, (k + 1,), of each part.
+
+        With `floor` they are the least costs that the proof leaves possible.
+        """
         costs = []
         for subproblem, result, fewest in zip(self.parts, self.results, self.minimum, strict=True):
             scores = result.floor if floor else result.best
@@ -81,9 +85,9 @@ class Proof:
         return costs
 
     def _objective(self, best: float) -> Callable[[float], float] | None:
-        """Return what turns a sum of costs into the objective, given the best selection's.
+        """Return a function from a sum of costs to the objective, by that of the best selection.
 
-        None if it is neither the sum itself nor an RMSE [px].
+        None if the objective is neither the sum itself nor an RMSE [px].
         """
         subproblem = self.parts[0]
         # The rows whose errors the score adds up.
@@ -122,7 +126,7 @@ class Proof:
         By number of genes; the last is the best of all. Empty where nothing is feasible.
         """
         total, sizes = _joint(self._costs())
-        return [self._genes(sizes[i].tolist()) for i in np.flatnonzero(_better(total))]
+        return [self._genes(sizes[i].tolist()) for i in np.flatnonzero(_beats_smaller_sizes(total))]
 
     def by_size(self, problem: Problem) -> list[SizeProof]:
         """Return the best selection of every total size, each with its own proof.
@@ -140,7 +144,7 @@ class Proof:
         values, feasible = each_of(problem, genes)
         objective = self._objective(float(values[total[feasible_sizes].argmin()]))
         floor = _joint(self._costs(floor=True))[0]
-        better = _better(total)
+        better = _beats_smaller_sizes(total)
         proofs = []
         # Enumeration and evaluation may differ at a tolerance: what is infeasible is left out.
         for i, selection, value in zip(feasible_sizes[feasible], genes[feasible],
@@ -186,7 +190,8 @@ class FeatureProof:
 
     def front(self) -> list[Genes]:
         """Return the best selection of every size that beats all smaller ones."""
-        return [self.genes[size] for size in np.flatnonzero(_better(self.best)).tolist()]
+        sizes = np.flatnonzero(_beats_smaller_sizes(self.best))
+        return [self.genes[size] for size in sizes.tolist()]
 
     def by_size(self, problem: Problem) -> list[SizeProof]:
         """Return the best selection of every size and its proof (see `Proof.by_size`)."""
@@ -197,7 +202,7 @@ class FeatureProof:
         # Until then nothing is known of single sizes but the floor of all selections.
         bounds = values if self.complete else np.minimum(values, self.floor)
         optimal = values <= bounds
-        better = _better(values)
+        better = _beats_smaller_sizes(values)
         return [SizeProof(self.genes[size], float(values[i]), float(bounds[i]), bool(optimal[i]),
                           bool(better[i]))
                 for i, size in enumerate(sizes)]
@@ -230,7 +235,7 @@ def generation_of(problem: Problem, proof: Proof | FeatureProof, index: int, spa
 
 
 def each_of(problem: Problem, genes: Genes) -> tuple[FloatArray, BoolArray]:
-    """Return the first objectives of individuals, and whether they are feasible.
+    """Return the first objectives of individuals, (p,), and whether they are feasible, (p,).
 
     One by one, as sums over a population round otherwise, and a bound is to equal what it proves.
     """
@@ -240,14 +245,14 @@ def each_of(problem: Problem, genes: Genes) -> tuple[FloatArray, BoolArray]:
 
 
 def _cost(scores: FloatArray, subproblem: EnumerablePart, fewest: int) -> FloatArray:
-    """Return the cost of a score of each size; infinite for less than so many genes."""
+    """Return the cost of a score of each size, (k + 1,); infinite for fewer than `fewest` genes."""
     cost = np.where(np.isfinite(scores), subproblem.cost(scores), np.inf)
     cost[:fewest] = np.inf
     return cost
 
 
 def _joint(costs: Sequence[FloatArray]) -> tuple[FloatArray, IntArray]:
-    """Return the least sum of costs of every total size, and how it splits into the parts' sizes.
+    """Return the least sum of costs of every total size, (n,), and the parts' sizes, (n, parts).
 
     A convolution of minima and sums, part by part.
     """
@@ -269,8 +274,8 @@ def _joint(costs: Sequence[FloatArray]) -> tuple[FloatArray, IntArray]:
     return total, sizes
 
 
-def _better(total: FloatArray) -> BoolArray:
-    """Return which sizes have a lower cost than all smaller ones."""
+def _beats_smaller_sizes(total: FloatArray) -> BoolArray:
+    """Return which sizes, (n,), have a lower cost than all smaller ones."""
     return total < np.minimum.accumulate(np.append(np.inf, total))[:-1]
 
 
@@ -332,7 +337,7 @@ def count(problem: Problem, max_terms: int | None = None) -> int:
 
 def space_of(problem: Problem, subproblems: tuple[EnumerablePart, ...],
              max_terms: int | None) -> str:
-    """Return the space of a proof in words."""
+    """Return the space of a proof in words, such as "all selections of up to 12 terms an axis"."""
     limits = {limits_of(problem, subproblem, max_terms)[1] for subproblem in subproblems}
     most_free = max(int(problem.genome.free[subproblem.genes].sum()) for subproblem in subproblems)
     if min(limits) >= most_free:

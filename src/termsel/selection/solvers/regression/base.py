@@ -77,7 +77,7 @@ class Regression:
 
     @cached_property
     def unit(self) -> FloatArray:
-        """Columns of length 1, or 0 if they are all zeros."""
+        """Columns (m, k) of length 1, or 0 if they are all zeros."""
         lengths = np.linalg.norm(self.columns, axis=0)
         return np.asarray(self.columns / np.where(lengths > 0, lengths, 1.0))
 
@@ -174,10 +174,10 @@ def _regression(problem: Problem, subproblem: EnumerablePart) -> Regression:
 
 
 def _constant(system: SubsetSystem) -> BoolArray:
-    """Return the column of the constant, the first that is the same in every row.
+    """Return the mask, (k,), of the constant: the first column that is the same in every row.
 
-    If standard deviations weight the control rows, only check rows reveal it, if there are any.
-    Nothing else is taken from those.
+    No column is in it if there is none. If standard deviations weight the control rows, only check
+    rows reveal it, if there are any. Nothing else is taken from those.
     """
     constant = np.zeros(system.design.shape[1], dtype=bool)
     for rows in (system.design, system.check_design):
