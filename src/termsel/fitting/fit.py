@@ -515,7 +515,7 @@ class Fit(Glance):
     def missed_at(self, ground: FloatArray) -> FloatArray:
         """Return the mean square of the model's own error at places (m, 3), scaled, (m, 2).
 
-        It is 0 where the residuals do not tell (see `misfit`), NaN where a place has no image
+        It is 0 where the residuals do not show it (see `misfit`), NaN where a place has no image
         position.
         """
         if self.misfit is None:
