@@ -9,8 +9,9 @@ from msgspec import convert
 
 from termsel.data.record.record import Record
 from termsel.results.answers import document
+from termsel.results.first_screen import first_screen as first_screen_facts
 from termsel.results.first_screen import next_step as next_command
-from termsel.results.text import first_screen_of, text_of
+from termsel.results.text import text_of, text_of_blocks
 
 
 def outlier(name: str, error: float, excluded: bool, certainty: str = "certain",
@@ -85,7 +86,7 @@ def text(whole: bool = True, **changed: Any) -> str:
 
 def first_screen(**changed: Any) -> list[str]:
     """Return the lines of the first screen, but for the command that comes last."""
-    return first_screen_of(document(convert(record(**changed), Record))).splitlines()
+    return text_of_blocks(first_screen_facts(convert(record(**changed), Record))).splitlines()
 
 
 def next_step(folder: str, **changed: Any) -> str:

@@ -66,7 +66,7 @@ class Adjustment:
     @property
     def feasible(self) -> bool:
         """True if the selected terms are determined."""
-        return self.violation == 0
+        return self.rank == self.n_terms
 
 
 def solve(

@@ -22,7 +22,8 @@ def one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:
     # and on a busy machine it takes several times the processor time.
     @wraps(function)
     def alone(*args: P.args, **kwargs: P.kwargs) -> R:
-        _keep_freed_memory()
+        if not _memory_is_kept:
+            _keep_freed_memory()
         with _libraries(len(sys.modules)).limit(limits=1, user_api="blas"):
             return function(*args, **kwargs)
     return alone
@@ -36,7 +37,7 @@ def _keep_freed_memory() -> None:
     on 74 points has 15,000 of them, and 700 with this, which saves 6 to 11 % of its processor time.
     """
     numpy = sys.modules.get("numpy")
-    if numpy is not None and not _memory_is_kept:
+    if numpy is not None:
         numpy.empty(FREED)
         _memory_is_kept.append(True)
 

@@ -308,6 +308,8 @@ class FeatureSet(Glance):
     def feature(self) -> IntArray:
         """The feature of each point, then of each line, (n + m,); counted from 0, points first."""
         n = len(self.points)
+        if not len(self.lines):
+            return np.arange(n)
         # A point is a feature of its own; lines go on counting after the points.
         return np.concatenate([np.arange(n), n + self.lines.feature])
 
@@ -379,6 +381,8 @@ class FeatureSet(Glance):
         points = np.isnan(self.points.ground[:, 2])
         # One vertex without a height leaves the line without one.
         lines: BoolArray = np.any(np.isnan(self.lines.ground[..., 2]), axis=1)
+        if not points.any() and not lines.any():
+            return ()
         return select(self.points.ids, points) + tuple(
             dict.fromkeys(select(self.lines.ids, lines)))
 

@@ -95,10 +95,6 @@ class Scaling:
         return unchecked(points, image=self.image(points.image), ground=self.ground(points.ground),
                          sigma=None if points.sigma is None else points.sigma / self.image_scale)
 
-    def lines(self, lines: Lines) -> Lines:
-        """Return the lines in scaled coordinates."""
-        return self.points(lines)
-
     def features(self, features: FeatureSet) -> FeatureSet:
         """Return the features in scaled coordinates."""
         return _scaled(self, features)
@@ -128,7 +124,7 @@ class Scaling:
 def _scaled(scaling: Scaling, features: FeatureSet) -> FeatureSet:
     """Return scaled features; cached, as many models are fitted to the same control."""
     return replace(features, points=scaling.points(features.points),
-                   lines=scaling.lines(features.lines))
+                   lines=scaling.points(features.lines))
 
 
 def in_fit_crs(ground: FloatArray, crs: str, fit_crs: str) -> FloatArray:

@@ -33,11 +33,11 @@ from termsel.fitting.residuals import Residuals
 from termsel.results.accuracy import accuracy_of
 from termsel.results.answers import document
 from termsel.results.extras import further_sections
-from termsel.results.first_screen import next_step, title_of
+from termsel.results.first_screen import first_screen, next_step, title_of
 from termsel.results.page import page
 from termsel.results.plots import Plots
 from termsel.results.same_fit import least_squares_of, numbers_of
-from termsel.results.text import first_screen_of, text_of
+from termsel.results.text import text_of, text_of_blocks
 from termsel.results.view import View
 
 if TYPE_CHECKING:
@@ -362,7 +362,7 @@ class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, wea
         """
         # The first screen fits into a terminal; summary.txt has every table and proof.
         if not verbose:
-            return first_screen_of(document(self))
+            return text_of_blocks(first_screen(self))
         return text_of(document(self.record, further=further_sections(self)), titled=False)
 
     def next_step(self, folder: Path | str = "") -> str:

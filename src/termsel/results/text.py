@@ -42,9 +42,9 @@ def text_of(document: Document, *, with_details: bool = True, titled: bool = Tru
     return printable("\n".join(lines)) + "\n"
 
 
-def first_screen_of(document: Document) -> str:
-    """Return the first screen alone, as text."""
-    return printable("\n".join(_lines(document.facts))) + "\n"
+def text_of_blocks(blocks: Iterable[Block]) -> str:
+    """Return blocks as text, such as the facts of the first screen."""
+    return printable("\n".join(_lines(blocks))) + "\n"
 
 
 def _blocks_shown(blocks: Iterable[Block], with_details: bool) -> Iterator[Block]:

@@ -11,8 +11,8 @@ from pathlib import Path
 from termsel.core.errors import counted
 from termsel.core.files.atomic import atomic_path, write_text
 from termsel.core.isolation.parts import lack_of, missing, package_of_name, parts
-from termsel.results.blocks import Block, Document
-from termsel.results.text import first_screen_of
+from termsel.results.blocks import Block
+from termsel.results.text import text_of_blocks
 from termsel.studies.cells.image_table import image_reasons, image_table
 from termsel.studies.cells.table import csv_of, usual_notes_in_words, with_notes_once
 from termsel.studies.study import Study
@@ -91,7 +91,7 @@ def _images(study: Study) -> str:
     title = [study.spec.title] if study.spec.title else []
     blocks: tuple[Block, ...] = (*title, *study.remarks, *usual_notes_in_words(study.rows),
                                  image_table(study.rows), *image_reasons(study.rows))
-    return first_screen_of(Document("", "", blocks, ())).lstrip("\n")
+    return text_of_blocks(blocks).lstrip("\n")
 
 
 def page(study: Study) -> str:

@@ -14,20 +14,21 @@ def of_shape(value: Any, shape: tuple[int, ...], *, finite: bool = True,
 
     In the shape -1 stands for any length. The message begins with `what`.
     """
+    sizes_fit = isinstance(value, np.ndarray) and len(value.shape) == len(shape) and all(
+        expected_size in (-1, size)
+        for expected_size, size in zip(shape, value.shape, strict=True))
+    # Real and whole numbers; bool and complex are not.
+    if sizes_fit and value.dtype.kind in "fiu" and (not finite or np.isfinite(value).all()):
+        return None
     expected = f"expected an array of numbers of shape ({_list_in_words(shape)})"
     if not isinstance(value, np.ndarray):
         return f"{verb} an object of type {type(value).__name__}; {expected}"
-    # Real and whole numbers; bool and complex are not.
     if value.dtype.kind not in "fiu":
         return f"{verb} an array of {value.dtype}; {expected}"
-    sizes_fit = all(expected_size in (-1, size)
-                    for expected_size, size in zip(shape, value.shape, strict=False))
-    if len(value.shape) != len(shape) or not sizes_fit:
+    if not sizes_fit:
         return f"{verb} an array of shape ({_list_in_words(value.shape)}); {expected}"
-    if finite and not np.isfinite(value).all():
-        return (f"{verb} {np.count_nonzero(~np.isfinite(value))} numbers that are not finite; "
-                "expected finite ones")
-    return None
+    return (f"{verb} {np.count_nonzero(~np.isfinite(value))} numbers that are not finite; "
+            "expected finite ones")
 
 
 def _list_in_words(shape: tuple[int, ...]) -> str:
