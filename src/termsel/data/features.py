@@ -327,10 +327,11 @@ class FeatureSet(Glance):
     def take(self, mask: BoolArray) -> FeatureSet:
         """Return the features whose mask is set, lines with all their pieces."""
         n = len(self.points)
-        return self.with_(points=self.points.take(mask[:n]),
-                          # The mask is of features; each piece of a line takes that of its feature.
-                          lines=self.lines.take(mask[n:][self.lines.feature])
-                          if len(self.lines) else None)
+        points = self.points.take(mask[:n])
+        if not len(self.lines):
+            return replace(self, points=points)
+        # The mask is of features; each piece of a line takes that of its feature.
+        return replace(self, points=points, lines=self.lines.take(mask[n:][self.lines.feature]))
 
     def texts(self, name: str) -> TextArray:
         """Return a column of attributes of all features.

@@ -204,7 +204,9 @@ class RationalModel(SensorModel):
         """
         points = features.points
         lines = features.lines
-        if self.exact_for_lines or not len(lines):
+        if not len(lines):
+            image = np.empty((0, 2))
+        elif self.exact_for_lines:
             # The place along the image line cancels.
             # Each image line once, in Hesse form: n . (line, sample) = rho.
             normal, rho = line_normals(lines)
@@ -232,7 +234,7 @@ class RationalModel(SensorModel):
         cases None keeps the linear equations that the literature solves: points alone, and lines
         with polynomials or a shared denominator.
         """
-        if not self.weighted and (self.exact_for_lines or not len(features.lines)):
+        if not self.weighted and (not len(features.lines) or self.exact_for_lines):
             return None
         systems = []
         vertices = features.lines.ground.reshape(-1, 3)
