@@ -35,6 +35,7 @@ from termsel.data.rasters import refuse_empty_giant as refuse_empty_giant
 from termsel.data.rasters import require_rasterio as require_rasterio
 from termsel.data.record.figures import plain as plain
 from termsel.data.scaling import scaling_of as scaling_of
+from termsel.formats.base import parse_json as parse_json
 from termsel.formats.base import read_data as read_data
 from termsel.formats.base import read_text as read_text
 from termsel.formats.deviation import say_deviation as say_deviation

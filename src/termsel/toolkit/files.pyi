@@ -24,7 +24,6 @@ from termsel.formats.base import IMAGE_NAME as IMAGE_NAME
 from termsel.formats.base import LARGEST_IMAGE as LARGEST_IMAGE
 from termsel.formats.base import image_of as image_of
 from termsel.formats.base import located as located
-from termsel.formats.base import parse_json as parse_json
 from termsel.formats.base import read_head as read_head
 from termsel.formats.deviation import GDALWARP as GDALWARP
 from termsel.formats.deviation import places_of as places_of

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from termsel import TermselError
-from termsel.toolkit import read_text, unknown_name
-from termsel.toolkit.files import parse_json
+from termsel.toolkit import parse_json, read_text, unknown_name
 
 USGS = ("USGS reports of calibration OSL/2985, OSL/3030 and OSL/3221 of Wild RC30 cameras: 153 mm "
         "nominal, 153.25 to 153.74 mm calibrated")

@@ -19,9 +19,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from termsel import FeatureSet, Option, Reader, Result, TermselError
-from termsel.toolkit import read_text, write_text
+from termsel.toolkit import parse_json, read_text, write_text
 from termsel.toolkit.coordinates import horizontal, normalise
-from termsel.toolkit.files import IMAGE_NAME, image_of, is_number, parse_json
+from termsel.toolkit.files import IMAGE_NAME, image_of, is_number
 from termsel_formats.points.common import CORNER, points_of
 from termsel_formats.points.written import (
     PointsWriter,
