@@ -64,15 +64,16 @@ BELOW = "The proven optimum is 0, below this (12,345 subsets enumerated, all siz
     ({"gap": 0.0, "optimum": 0.9}, "ga", 0.67, GAP.replace("2.50", "0")
      + "--solver exact finds it"),
     ({"gap": None, "optimum": 0.0}, "ga", 0.67, BELOW + "--solver exact finds it"),
-    ({"optimal": True, "bounded": 345, "space": "all selections of up to 16 terms an axis"},
-     "exact", 1.0, "Proven: no selection of up to 16 terms an axis has a better criterion "
+    ({"optimal": True, "bounded": 345, "space": "all selections of up to 16 terms per coordinate"},
+     "exact", 1.0, "Proven: no selection of up to 16 terms per coordinate has a better criterion "
                    "(12,345 subsets enumerated, 345 of them fathomed by bounds)"),
     ({"bound": 0.8, "gap": 0.125}, "exact", 1.0,
      "Not proven: at most 12.50 % above the optimum, which is 0.8 or more (12,345 of 99,999 "
      "subsets enumerated)"),
-    ({"bound": 0.8, "gap": 0.125, "space": "selections of up to 16 terms an axis"}, "exact", 1.0,
-     "Not proven: at most 12.50 % above the optimum of up to 16 terms an axis, which is 0.8 or "
-     "more (12,345 of 99,999 subsets enumerated)"),
+    ({"bound": 0.8, "gap": 0.125, "space": "selections of up to 16 terms per coordinate"},
+     "exact", 1.0,
+     "Not proven: at most 12.50 % above the optimum of up to 16 terms per coordinate, which is 0.8 "
+     "or more (12,345 of 99,999 subsets enumerated)"),
     ({"bound": 0.0}, "exact", 1.0,
      "Not proven: 12,345 of 99,999 subsets enumerated; no lower bound is known yet"),
     ({"bound": 0.8, "gap": 2.5e-6}, "exact", 1.0,

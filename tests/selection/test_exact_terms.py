@@ -97,7 +97,7 @@ def test_forced_genes_and_cardinality_hold() -> None:
 
 def test_max_terms_is_the_space_of_the_certificate() -> None:
     result = termsel.run("poly-terms", solver="exact", options={"degree": 3, "max_terms": 4})
-    assert result.certificate.space == "selections of up to 4 terms an axis"
+    assert result.certificate.space == "selections of up to 4 terms per coordinate"
     assert result.certificate.subsets == 2 * sum([1, 10, 45, 120, 210])
     assert len(result.selection.terms) <= 8
 

@@ -210,23 +210,27 @@ def _table_of_members(record: Record, members: Sequence[Member | SizeRow]) -> Ta
     """Return the table of the front, with what is proven of each size where anything is."""
     size, *further = members[0].objectives
     names = size.removeprefix("n_")
+    # The criterion may be the RMSE at selection points itself.
+    is_objective = "check-rmse" in further
     proven = {row.objectives[size]: sizes.proven(row) for row in record.by_size}
     rows = []
     for member in members:
         objectives = ["-" if value is None else f"{value:.5g}"
                       for value in member.objectives.values()]
         verdict = [proven.get(member.objectives[size], "")] if proven else []
-        rows.append((*objectives, _px(member.rmse.check), _px(member.rmse.independent), *verdict,
+        selection = [] if is_objective else [_px(member.rmse.check)]
+        rows.append((*objectives, *selection, _px(member.rmse.independent), *verdict,
                      " ".join(getattr(member.selection, names))))
     title = [sizes.TITLE] if proven else []
-    columns = (sizes.counted_by(members), *further, "selection [px]", "independent check [px]",
+    selection_heading = [] if is_objective else ["selection [px]"]
+    columns = (sizes.counted_by(members), *further, *selection_heading, "independent check [px]",
                *title, names)
     # A text has no room for the errors at selection points and for the names.
-    selection_column = len(members[0].objectives)
+    selection_columns = [] if is_objective else [len(members[0].objectives)]
     return TableBlock("Pareto front", columns, rows, choice="member" if record.front else "",
                       keys=list(range(len(record.front))),
                       marked=sizes.recommended(members, record.selection),
-                      page_only=(selection_column, len(columns) - 1))
+                      page_only=(*selection_columns, len(columns) - 1))
 
 
 def _table_by_size(members: Sequence[Member | SizeRow], by_size: Sequence[SizeRow]) -> TableBlock:

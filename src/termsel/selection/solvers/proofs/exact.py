@@ -114,7 +114,7 @@ class Exact(Solver):
     ends_by_itself = True
     can_resume = False
     declared_options = (
-        Option("max_terms", None, "Most terms of an axis; by default as many as the problem "
+        Option("max_terms", None, "Most terms per coordinate; by default as many as the problem "
                                   "allows. The proof is of selections up to this size.", int,
                1, COUNT),
         Option("workers", None, "Threads; by default all cores. The result does not depend on "

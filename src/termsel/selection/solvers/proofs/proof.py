@@ -346,4 +346,4 @@ def space_of(problem: Problem, subproblems: tuple[EnumerablePart, ...],
     unlimited = all(limits_of(problem, subproblem, max_terms)
                     == limits_of(problem, subproblem, None) for subproblem in subproblems)
     return (f"{ALL if unlimited else 'selections'} of up to {sizes}"
-            + (" an axis" if len(subproblems) > 1 else ""))
+            + (" per coordinate" if len(subproblems) > 1 else ""))
