@@ -97,9 +97,10 @@ class TermselError(Exception):
 
 
 def printable(text: str, keep: str = "\n\t") -> str:
-    """Return text as a terminal can show it, whatever a file or a name brought.
+    r"""Return text as a terminal can show it, whatever a file or a name brought.
 
-    What else would control the terminal is written as Python writes it, ``\\x1b``; `keep` stays.
+    Other characters, which may control the terminal, are written as Python writes them, ``\x1b``;
+    those in `keep` stay.
     """
     if text.isprintable():
         return text
@@ -109,7 +110,7 @@ def printable(text: str, keep: str = "\n\t") -> str:
 
 
 def is_printable(text: str) -> bool:
-    """Return True for text without line breaks and what `printable` replaces."""
+    """Return True for text without line breaks and without characters that `printable` replaces."""
     return text.isprintable() or all(
         char.isprintable() or char in _JOINERS or unicodedata.category(char) in _SHOWN
         for char in text)
@@ -136,7 +137,7 @@ MOST_BESIDE_NEAR = 25
 def unknown_name(kind: str, name: str, names_known: Iterable[str], hint: str = "") -> TermselError:
     """Return the error for a name of some kind that is not among the known, with the nearest."""
     names = sorted(set(names_known))
-    near = _near(name, names)
+    near = _likely_names(name, names)
     guess = f"Did you mean {' or '.join(map(repr, near))}?" if near else ""
     remainder = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
     listed = (f"Known: {', '.join(names[:MOST_NAMED])}{remainder}." if names
@@ -147,7 +148,7 @@ def unknown_name(kind: str, name: str, names_known: Iterable[str], hint: str = "
                         hint=" ".join(text for text in (guess, listed, hint) if text))
 
 
-def _near(name: str, names: Sequence[str]) -> list[str]:
+def _likely_names(name: str, names: Sequence[str]) -> list[str]:
     """Return up to three names that may be meant: the nearest, and those that differ by words."""
     # Above 0.6 of matching characters the nearest name is a misspelling; below, any guess misleads.
     by_small_letters = {known.lower(): known for known in names}
@@ -171,7 +172,7 @@ def raised(error: BaseException) -> str:
 
 
 def percent(share: float) -> str:
-    """Return a share in per cent: two decimals, or two digits where these would show nothing."""
+    """Return a share in per cent with two decimals, or two digits if these would be 0.00."""
     return f"{100 * share:.2f} %" if share >= 1e-3 else f"{100 * share:.2g} %"
 
 
@@ -188,16 +189,17 @@ def amount(number: int, noun: str = "") -> str:
 
 
 def first_of(names: Sequence[str], limit: int = 10) -> str:
-    """Return the first names of a list, and how many more there are."""
+    """Return the first names of a list, and how many more there are, such as "A, B and 3 more"."""
     unnamed = len(names) - limit
     return ", ".join(names[:limit]) + (f" and {unnamed:,} more" if unnamed > 0 else "")
 
 
 @contextmanager
 def requires(needing: str, packages: str, install: str, file: object = None) -> Iterator[None]:
-    """Run imports; where one fails, say what needs which packages, and how to install them.
+    """Run imports; raise TermselError if one fails.
 
-    `what` has its verb, as in "charts require"; `install` is what pip installs.
+    It begins with `needing`, which has its verb, as in "charts require", and `packages`; `install`
+    is what pip installs.
     """
     try:
         yield

@@ -40,7 +40,7 @@ def leave(_number: int = signal.SIGINT, _frame: FrameType | None = None) -> NoRe
 
 
 def end() -> NoReturn:
-    """End the program with the exit code `INTERRUPTED`, after what it has printed."""
+    """End the program with the exit code `INTERRUPTED`; its output so far is written first."""
     from contextlib import suppress
 
     for stream in (sys.stdout, sys.stderr):

@@ -108,7 +108,7 @@ class Option:
 
     @property
     def limits_files(self) -> str:
-        """What a file may not set, in words; "" where it may give every value."""
+        """The limit of values from files, in words; "" where a file may give every value."""
         if self.from_files is True:
             return ""
         if self.from_files is False:
@@ -227,7 +227,10 @@ def by_part(values: Mapping[str, Any],
 
 
 def resolve(declared: Iterable[Option], values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the value of every declared option, given what was set; refuse all else."""
+    """Return the value of every declared option, its default where none was set.
+
+    Raises TermselError for an unknown option, and for a value that it does not take.
+    """
     options = {option.name: option for option in declared}
     for key in values:
         if key not in options:

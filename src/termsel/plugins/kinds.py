@@ -59,7 +59,7 @@ class Kind:
             item()
 
     def require_of(self, item: Any) -> None:
-        """Refuse by TypeError what is not of the kind, lacks methods or has no usable name."""
+        """Raise TypeError for an item of another kind, without its methods or a usable name."""
         base = self.base_of(item)
         classes = base is None or issubclass(base, Configurable)
         expected = f"a subclass of {self.base}" if classes else f"an instance of {self.base}"
@@ -81,7 +81,8 @@ class Kind:
 
 
 def _attribute_fault(cls: type) -> str | None:
-    """Return which attribute of a class is of another type than where termsel declares it."""
+    """Return which attribute of a class has another type than termsel declares; None if none has.
+    """
     for base in cls.__mro__:
         for name, usual in vars(base).items() if is_own(base) else ():
             # Compared with the type of the default where termsel declares the attribute.

@@ -93,7 +93,7 @@ def attempt(call: Callable[[], T], package: str = OWN, seconds: float | None = N
     called as it is. Returned are the value and None, or None and what was raised.
     """
     def contained() -> tuple[T, None] | tuple[None, str]:
-        """Return what a call returns, or why it failed."""
+        """Return the value of a call and None, or None and why it failed."""
         try:
             return call(), None
         # A plugin may raise anything at all, even leave the program while it is imported, and
@@ -140,7 +140,10 @@ class Slot:
 
     def attempt(self, call: Callable[[], T], seconds: float | None = None,
                 ) -> tuple[T, None] | tuple[None, str]:
-        """Run code of the plugin (see `attempt`), and note how long it takes."""
+        """Run code of the plugin as `attempt` does, and note how long it takes.
+
+        Returned are its value and None, or None and the reason why it failed or was not called.
+        """
         if self.left_out:
             return None, self.left_out
         # Import and hooks of a plugin count together, for `termsel plugins`.
@@ -169,7 +172,8 @@ class Loader:
 
     @property
     def plugins(self) -> list[Plugin]:
-        """All plugins as far as they are loaded, the built-in one first."""
+        """All plugins so far, the built-in one first; those that are not loaded are known by name.
+        """
         return [*(slot.plugin for slot in self.slots), *self._missing]
 
     def load_all(self) -> None:
@@ -270,7 +274,7 @@ def hooks_in_source(point: EntryPoint) -> Callable[[str], bool]:
 
 
 def _source(module: str) -> str:
-    """Return the text of a module; nothing where it cannot be found without an import."""
+    """Return the text of a module, found without an import; "" if it cannot be found."""
     # Package by package, as an import would go, but without running any code.
     spec = None
     path = None
@@ -293,7 +297,7 @@ def _key(plugin: Plugin) -> str:
 
 
 def _points_of(distribution: Distribution) -> tuple[list[EntryPoint], str]:
-    """Return the entry points of a distribution's plugins, and what is wrong with its metadata."""
+    """Return the entry points of a distribution's plugins, and a fault of its metadata, or ""."""
     points, reason = attempt(lambda: [
         point for point in distribution.entry_points.select(group=PROJECT) if point.module])
     if points is None:
@@ -312,7 +316,7 @@ def _points_of(distribution: Distribution) -> tuple[list[EntryPoint], str]:
 
 
 def _spare_numba() -> None:
-    """Let numba find its extensions now: it fails at what no reader of metadata can read, once."""
+    """Let numba look for its extensions now, where metadata cannot be read: it fails only once."""
     from termsel.adjustment.numba_settings import import_numba
 
     import_numba()
@@ -411,7 +415,10 @@ class _Givers:
 
 
 def listed(value: Any) -> list[Any]:
-    """Return what a hook returned as a list; TypeError if it is none, or has no end."""
+    """Return the value of a hook as a list.
+
+    Raises TypeError if it is no iterable, or has more than MAX_RETURNED items.
+    """
     if isinstance(value, str | type) or not isinstance(value, Iterable):
         raise TypeError(f"returned {value!r}, not a list")
     items: list[Any] = []
@@ -469,7 +476,10 @@ def _wrapper(slot: Slot, implementation: pluggy.HookImpl, arguments: Arguments, 
 
 
 def _finish_wrapper(running: Generator[None, Any, Any], inner: Any) -> list[list[Any]] | None:
-    """Send a wrapper what it wraps; return what it makes of it, None where that is nothing."""
+    """Send a wrapper the inner lists; return the lists that it returns, None for none.
+
+    Raises TypeError or RuntimeError if it returns none of the lists that it got, or yields twice.
+    """
     old = not isinstance(inner, list)
     try:
         running.send(inner if old else list(inner))

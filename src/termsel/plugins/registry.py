@@ -118,7 +118,7 @@ class Registry:
         raise unknown_name(KINDS[kind].word, name, self.names(kind), self.hint(name, kind))
 
     def known(self, kind: str, name: str) -> Any:
-        """Return the thing of a kind that has a name, as for `get`; None if there is none."""
+        """Return the thing of a kind by its name, as for `get`; None if nothing has the name."""
         # A built-in thing always has its name, so that no plugin need be imported for it.
         for names in (built_in(), self):
             for entry in names.entries(kind):
@@ -127,7 +127,10 @@ class Registry:
         return None
 
     def taken(self, kind: str, value: Any) -> Any:
-        """Return what is given, of a kind of `KINDS`, or the thing of its name, as for `get`."""
+        """Return a thing of a kind of `KINDS`: the value itself, or the thing of that name.
+
+        Raises TermselError for an unknown name, or a value that is not of the kind.
+        """
         if isinstance(value, str):
             return self.get(kind, value)
         try:
@@ -183,7 +186,7 @@ class Registry:
                      if plugin.distribution == distribution), "")
 
     def failures(self, *kinds: str) -> list[Remark]:
-        """Return what does not work: plugins that cannot be loaded, then things of the kinds.
+        """Return the remarks on plugins that cannot be loaded, then on things of the kinds.
 
         Kinds are those of `entries`; by default all of them, and every plugin is loaded.
         """
@@ -230,7 +233,10 @@ class Registry:
                 f"{parts.install_hint(package)}")
 
     def observers(self) -> list[Callable[[Progress], None]]:
-        """Return the observers of runs that plugins have; one that fails is told, and left out."""
+        """Return the observers of runs that plugins provide.
+
+        One that fails is left out, with a warning.
+        """
         return [_failsafe_observer(plugin, observe) for plugin,
                 observe in self._provided_without_names("observers", listed)]
 
@@ -243,7 +249,9 @@ class Registry:
         return self._parts
 
     def _provided_without_names(self, plural: str, accept: Taken) -> list[tuple[Plugin, Any]]:
-        """Return what a hook gives of what has no name, with the plugins; warn of those that fail.
+        """Return the things without names that a hook gives, each with its plugin.
+
+        Plugins that fail are left out, with a warning.
         """
         hook = f"{PROJECT}_{plural}"
         answers = call(hook, self._loader.slots_of(hook), accept)
@@ -260,7 +268,7 @@ class Registry:
             _warn(plugin, f"{LISTENER}: {reason}")
 
     def _collect(self, kind: str) -> Provided:
-        """Return what is provided of a kind, asking plugins once."""
+        """Return the entries and failures of a kind; plugins are asked once."""
         if kind not in self._provided:
             hook = f"{PROJECT}_{kind}"
             entries, faults = self._things(kind) if kind in KINDS else self._commands()
@@ -277,7 +285,8 @@ class Registry:
         return self._provided[kind]
 
     def _things(self, kind: str) -> Offered:
-        """Return what plugins offer of a kind, and what is wrong with the rest."""
+        """Return the entries of a kind, each with its plugin, and the faults of all other things.
+        """
         hook = f"{PROJECT}_{kind}"
         answers = call(hook, self._loader.slots_of(hook), listed)
         entries = []
@@ -290,7 +299,8 @@ class Registry:
         return entries, answers.faults
 
     def _commands(self) -> Offered:
-        """Return the commands that plugins add, and what is wrong."""
+        """Return the commands that plugins add, each with its plugin, and the faults of the others.
+        """
         import click
 
         # Each plugin has its own group, so that none replaces a command of another.
@@ -319,7 +329,7 @@ def registry() -> Registry:
 
 @cache
 def built_in() -> Registry:
-    """Return the registry of what termsel itself provides, which needs no plugin."""
+    """Return the registry of termsel's own things, which needs no plugin."""
     return Registry([])
 
 
@@ -349,7 +359,7 @@ def _failsafe_observer(plugin: Plugin, observe: Callable[[Progress], None]) -> C
 
 
 def _accept_nothing(_value: Any) -> list[Any]:
-    """Return what a hook gives that returns nothing."""
+    """Return [], whatever the hook returned: one that is called for its effect."""
     return []
 
 
@@ -367,7 +377,10 @@ def _entry(kind: str, plugin: Plugin, item: Any) -> Entry:
 
 
 def _add(entries: list[Entry], entry: Entry, kind: str, owners: dict[str, str]) -> str | None:
-    """Append an entry, by its full name where its name is taken; return how it clashes."""
+    """Append an entry, by its full name if its name is taken.
+
+    Returned is a clause on the clash, None without one.
+    """
     full = f"{entry.provided_by}:{entry.name}"
     names = {existing.name for existing in entries}
     # Whoever has the name first keeps it; a second one is known by its full name.

@@ -27,7 +27,7 @@ PREDICTED_BY = "predicted by cross-validation"
 
 
 def expected_of(record: Record) -> Predicted | None:
-    """Return the RMSE predicted for the fit that is exported, if one is."""
+    """Return the RMSE predicted for the fit that is exported; None if none is predicted."""
     return (record.final_fit and record.final_fit.predicted) or record.predicted
 
 
@@ -74,7 +74,7 @@ def accuracy_lines(record: Record) -> list[str]:
 
 
 def lattice_of(record: Record) -> tuple[int, int] | None:
-    """Return the lines and columns of the lattice that the points are, if they are one."""
+    """Return how many lines and columns the lattice of the points has; None without a lattice."""
     return record.data.read.lattice if record.data.read else None
 
 
@@ -114,7 +114,7 @@ def _between_points(record: Record) -> list[str]:
 
 
 def _accuracy_without_check_points(record: Record, predicted: Predicted | None) -> list[str]:
-    """Return what is known without independent check points."""
+    """Return the clauses on accuracy for a record without independent check points."""
     counts = record.data.counts
     if is_exact(record):
         exactly = determined_exactly(counts.control + counts.check, "point")
@@ -178,7 +178,8 @@ def _chance_beyond(measured: float, predicted: Predicted) -> float:
 
 
 def _doubts(record: Record, accuracy: Accuracy) -> list[str]:
-    """Return what weakens the measured RMSE: blunders among the points, and earlier use."""
+    """Return clauses on blunders among the points and on earlier use, if any: both weaken the RMSE.
+    """
     lines = []
     if without := record.accuracy_without:
         lines.append(f"{rounded(without.image.total)} px without {contradicting(record)}")

@@ -70,8 +70,8 @@ def document(record: Record, view: View | None = None, picture: str = "",
         (*(Section(title, blocks) for title, answer in (
             ("How accurate is it?", _accuracy(record)),
             ("Is it better than conventional models?", _answer_on_conventional(record, view)),
-            ("Which points or lines are outliers?", _bad(record, view)),
-            ("In which areas is the model uncertain?", _weak(view)),
+            ("Which points or lines are outliers?", _answer_on_bad_points(record, view)),
+            ("In which areas is the model uncertain?", _answer_on_weak_places(view)),
             ("Which terms and features were selected, and why?", selected(record, view, picture)),
             ("How can it be repeated?",
              _answer_on_repeating(record, view))) if (blocks := tuple(answer))),
@@ -108,7 +108,7 @@ def _fitted_in(record: Record) -> Iterator[Block]:
 
 
 def _accuracy(record: Record) -> Iterator[Block]:
-    """Yield what answers "How accurate is it?"."""
+    """Yield the answer to "How accurate is it?"."""
     yield Statement(statement(record))
     # Of computed points an RMSE would look like an accuracy.
     accuracy = None if are_computed(record) else record.accuracy
@@ -267,7 +267,7 @@ def _distances(of: InImage | OnGround, unit: str, first: float, second: float) -
 
 
 def _answer_on_conventional(record: Record, view: View | None) -> Iterator[Block]:
-    """Yield what answers "Is it better than a conventional model?"."""
+    """Yield the answer to "Is it better than a conventional model?"."""
     yield record.judgement
     yield from map(Note, record.notes)
     yield from figure(view, "baselines")
@@ -278,7 +278,7 @@ def _answer_on_conventional(record: Record, view: View | None) -> Iterator[Block
 
 
 def _legend(record: Record, view: View | None) -> Iterator[str]:
-    """Yield what the table of all fits means."""
+    """Yield sentences that explain the table of all fits."""
     baselines = record.baselines
     if record.rmse.leave_one_out is not None:
         yield (f"{LEAVE_ONE_OUT}: each control feature by the fit without it, as "
@@ -337,8 +337,8 @@ def _figure(rmse: RoleRmse) -> str:
     return f"{total:.3f}" if 0.01 <= total < 1e5 else f"{total:.2e}"
 
 
-def _bad(record: Record, view: View | None) -> Iterator[Block]:
-    """Yield what answers "Which points are bad?"."""
+def _answer_on_bad_points(record: Record, view: View | None) -> Iterator[Block]:
+    """Yield the answer to "Which points are bad?"."""
     yield from map(Detail, verdict_table(record)) if are_all_named(record) \
         else verdict_table(record)
     if view is None:
@@ -361,8 +361,8 @@ def _bad(record: Record, view: View | None) -> Iterator[Block]:
         choice="picked", keys=[row["id"] for row in view.worst], folded=True)
 
 
-def _weak(view: View | None) -> Iterator[Block]:
-    """Yield what answers "Where is it weak?"."""
+def _answer_on_weak_places(view: View | None) -> Iterator[Block]:
+    """Yield the answer to "Where is it weak?"; nothing without the features."""
     if view is None:
         return
     # Without redundancy nothing shows how certain the model is.

@@ -92,15 +92,18 @@ def further_sections(result: Any) -> tuple[Section, ...]:
 
 
 def section_of(declared: ReportSection, result: Any) -> Section:
-    """Return a section of a result as it is shown; of one that fails, a note with the reason."""
+    """Return a plugin's section of a result; if it fails, a section with a note on the reason."""
     try:
-        return _made(declared, result)
+        return _checked_section(declared, result)
     except TermselError as error:  # also the fault of a plugin
         return Section(declared.title, (Note(str(error), "Not shown"),))
 
 
-def _made(declared: ReportSection, result: Any) -> Section:
-    """Return the section that a plugin declares, checked as far as it can fail later."""
+def _checked_section(declared: ReportSection, result: Any) -> Section:
+    """Return the section that a plugin declares, so that it cannot fail when it is shown.
+
+    Raises PluginFault for blocks that are none, and whatever the plugin raises.
+    """
     with blamed(declared.blocks, "blocks"):
         # A generator may have no end.
         blocks = tuple(islice(declared.blocks(result), _MAX_BLOCKS))
@@ -117,7 +120,10 @@ def _made(declared: ReportSection, result: Any) -> Section:
 
 
 def measured(measure: Measure, result: Any) -> float | None:
-    """Return the figure of a result, None where there is none; refuse what is no number."""
+    """Return the figure of a result; None if it is infinite or NaN.
+
+    Raises PluginFault, naming the plugin, for a figure that is no number.
+    """
     # A fault is named with its plugin; the study goes on without the figure.
     with blamed(measure.compute, "compute"):
         computed = measure.compute(result)

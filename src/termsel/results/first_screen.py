@@ -100,7 +100,7 @@ def _height(fact: Fact) -> int:
 
 
 def _data(record: Record, brief: int) -> Iterator[Fact]:
-    """Yield what was read, and the features of each role."""
+    """Yield the file, its features and its CRS, then the features of each role."""
     data = record.data
     names = ", ".join(PurePath(name).name for name in data.source.split(", "))
     read = data.read or _read_by_earlier_versions(record)
@@ -148,7 +148,7 @@ def _number(number: int, noun: str) -> str:
 
 
 def _count_unused(read: WhatWasRead) -> str:
-    """Return how many features take no part, and why."""
+    """Return how many features take no part, and why; "" if all do."""
     reasons = [f"{len(ids)} {reason}" for reason, ids in read.left_out.items()]
     # Reasons with their counts, as long as they fit into a line.
     text = f"not used: {'; '.join(reasons)}"
@@ -288,7 +288,7 @@ def _count_in_words(outliers: Sequence[Outlier], noun: str) -> str:
 
 
 def _no_outlier_detected(record: Record) -> str:
-    """Return that no outlier was detected, and why this may say little."""
+    """Return a clause that no outlier was detected, and why this may say little."""
     test = record.blunder_test
     accuracy = record.accuracy
     predicted = record.predicted
@@ -389,7 +389,10 @@ def _rmse_as_delivered(record: Record) -> Iterator[str]:
 
 
 def _comparable(record: Record, rival: BaselineRow) -> tuple[float | None, float | None]:
-    """Return the RMSE of this fit and of a rival that may be compared [px]."""
+    """Return the RMSE [px] of this fit and of a rival, in figures that can be compared.
+
+    Each is None if it is not known.
+    """
     # What both fits predict for features left out, or what both have at points that none has seen.
     strategy = record.strategy
     if strategy and not _points_compare_better(record):
@@ -410,7 +413,7 @@ def _points_compare_better(record: Record) -> bool:
 
 
 def _verdict(record: Record, own_rmse: float, rival_rmse: float) -> str:
-    """Return in a few words what the ratio of two RMSE is worth."""
+    """Return a few words on the ratio of the RMSE of this fit and of a rival [px]."""
     if record.strategy:
         return verdict_on_choice(own_rmse, rival_rmse, record.reference,
                                  len(record.strategy.candidates))
@@ -435,7 +438,7 @@ def _conventional(record: Record, row: BaselineRow) -> Iterator[str]:
 
 
 def _search(record: Record) -> Iterator[str]:
-    """Yield what was proven, and the size of the Pareto front."""
+    """Yield the proof, if there is one, and the size of the Pareto front."""
     certificate = record.certificate
     if certificate is not None and not certificate.claimed_by:
         # A claim of another program is not repeated as a proof.
@@ -456,7 +459,7 @@ def _search(record: Record) -> Iterator[str]:
 
 
 def _warnings(record: Record) -> list[str]:
-    """Return what is urgent, then each note that nothing above it says."""
+    """Return urgent warnings, then each note that the lines above do not say already."""
     accuracy = record.accuracy
     reused = accuracy is not None and bool(reused_points(accuracy))
     heights = _caution_on_heights(record)
@@ -481,7 +484,7 @@ def _caution_on_heights(record: Record) -> str:
 
 
 def _cautions(warnings: Sequence[str], room: int) -> Iterator[Fact]:
-    """Yield the most urgent warnings as far as there is room, and how many more there are.
+    """Yield the most urgent warnings that fit into `room` lines, and how many more there are.
 
     A warning that does not fit as a whole is given by its first sentence.
     """
@@ -517,7 +520,7 @@ def _is_shown(note: str) -> bool:
 
 
 def _urgent(record: Record) -> Iterator[str]:
-    """Yield what must be looked at before any figure is believed."""
+    """Yield warnings that come before any figure, the costliest mistake first."""
     # In the order of how much a wrong answer would cost.
     if not record.feasible and TOO_FEW in record.judgement:
         yield (f"do not use this fit: a budget of {amount(record.evaluations, 'evaluation')} is "
@@ -545,9 +548,9 @@ def _urgent(record: Record) -> Iterator[str]:
 
 
 def next_step(record: Record, folder: str = "") -> str:
-    """Return what to do next, as a command where one can be typed.
+    """Return the next step for the user, as a command if one can be typed.
 
-    `folder` is where the result was written, if it was.
+    `folder` is where the result was written, "" if it was not.
     """
     read = record.data.read
     if read and (read.doubt or read.mixed):  # what look like blunders may come from these

@@ -38,7 +38,7 @@ MOST_COLUMNS = 7
 
 
 def page(document: Document) -> str:
-    """Return what is shown of a result or a study as a page of HTML.
+    """Return the document of a result or a study as a page of HTML.
 
     Raises
     ------
@@ -96,7 +96,10 @@ def _sharing(specs: dict[str, Any]) -> dict[str, Any]:
 
 
 def _blocks(blocks: Iterable[Block], specs: dict[str, Any]) -> Iterator[str]:
-    """Yield blocks as HTML, with charts that follow each other side by side where there is room."""
+    """Yield blocks as HTML; charts in a row share it where there is room.
+
+    The specifications of charts are added to `specs`.
+    """
     # groupby takes neighbours together, so that figures in a row share it.
     for kind, group in groupby(blocks, type):
         if kind is Fact:
@@ -170,7 +173,7 @@ def _table(table: TableBlock) -> str:
 
 
 def _column_class(table: TableBlock, column: int) -> str:
-    """Return the class of the cells of a column, as an attribute."""
+    """Return the class of the cells of a column, as an attribute; "" for plain ones."""
     if table.has_words(column):
         return ' class="words"'
     if column in table.page_only:  # too wide for a narrow screen as for a text
@@ -194,7 +197,7 @@ def _row(table: TableBlock, i: int, classes: Sequence[str], is_listed: bool) -> 
 
 
 def _text(text: str) -> str:
-    """Return text of names and files as HTML that shows it and obeys nothing in it."""
+    """Return text of names and files as HTML, in which no markup or control sign has an effect."""
     return escape(printable(text))
 
 

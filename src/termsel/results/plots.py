@@ -47,7 +47,7 @@ class ChartKind:
     remark: Callable[[View], str] = lambda _: ""
 
     def caption(self, view: View) -> str:
-        """Return what to look for in the chart of a view."""
+        """Return the caption of the chart of a view: how to read it, and remarks."""
         return f"{self.look} {self.remark(view)}".strip()
 
 
@@ -141,12 +141,12 @@ LINKED = ("worst", "front")
 
 
 def kind_of(name: str) -> ChartKind:
-    """Return a kind of chart.
+    """Return a kind of chart by its name.
 
     Raises
     ------
     TermselError
-        If there is none of that name.
+        If no kind has this name.
     """
     if name not in KINDS:
         raise unknown_name("kind of chart", name, KINDS)

@@ -84,7 +84,7 @@ def of_attributes(features: FeatureSet) -> str | None:
 
 
 def of_record(record: Mapping[str, Any]) -> str:
-    """Return a checksum of the content of result.json, whatever its layout, without checksums."""
+    """Return the SHA-256 of result.json's content, without checksums, whatever its layout."""
     # Sorted keys: the layout of the file is not part of its content.
     text = json.dumps({key: value for key, value in record.items() if key != SEALS},
                       sort_keys=True)
@@ -174,7 +174,7 @@ class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, wea
 
     @cached_property
     def record(self) -> Record:
-        """What is written to result.json, with the checksums of that."""
+        """The record that result.json holds, with its checksums."""
         # The fields of a record alone: fits and features are in no file of JSON.
         fields = {name: getattr(self, name) for name in Record.__struct_fields__}
         record = Record(**fields)
@@ -253,7 +253,7 @@ class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, wea
     def exported(self) -> Fit:
         """The fit that is exported and that `project`, `sigma`, `locate` and `to_rpc` use.
 
-        The final one if there is one. `Result.fit` is the one whose figures these are.
+        It is the final one if there is one; the figures of the result are those of `Result.fit`.
         """
         # The final fit has used all points: it is the better map, the other one the honest figure.
         return self.final or self.fit
@@ -265,7 +265,7 @@ class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, wea
     def sigma(self, ground: ArrayLike, *, measured: bool = False) -> FloatArray:
         """Return the standard deviation of the error of `project` (see `termsel.Fit.sigma`).
 
-        It includes what all places have in common, where that is known (`shared_sigma`).
+        It includes the error that all places have in common, if that is known (`shared_sigma`).
         """
         # Independent errors: their squares add.
         return np.hypot(self.exported.sigma(ground, measured=measured), self.shared_sigma or 0.0)
@@ -311,7 +311,7 @@ class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, wea
 
     @cached_property
     def view(self) -> View:
-        """What charts and pages read of the result."""
+        """The view of the result that charts and pages read."""
         return View(self, self.fit, self.features, self.residuals,
                      lambda: [self.fit_of(member) for member in self.front])
 

@@ -51,7 +51,8 @@ def numbers_of(fitted: Fit) -> dict[str, Any]:
 
 
 def final_fit(final: Fit | None, predicted: Predicted | None) -> FinalFit | None:
-    """Return what a record holds of the fit to all points, and the RMSE predicted for it."""
+    """Return the record of the fit to all points, with its predicted RMSE; None without that fit.
+    """
     if final is None:
         return None
     return FinalFit(
@@ -131,7 +132,7 @@ def fit_of_record(model: SensorModel, control: FeatureSet, scaling: Scaling, use
 
 def _array_of_terms(model: SensorModel, values: Mapping[str, float | None],
                     default: float) -> FloatArray:
-    """Return values by term as an array; NaN for None."""
+    """Return values by term as an array (k,); NaN for None, `default` for terms without a value."""
     return np.array([number(values.get(name, default)) for name in model.terms])
 
 

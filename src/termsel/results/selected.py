@@ -21,7 +21,7 @@ from termsel.results.view import View
 
 
 def selected(record: Record, view: View | None, picture: str) -> Iterator[Block]:
-    """Yield what was selected, from what, and what is known of it.
+    """Yield the selection, its search or choice, and proofs of it.
 
     The picture is the image, smaller, as a data URL.
     """
@@ -94,7 +94,7 @@ def _iteration_in_words(adjustment: AdjustmentFigures) -> str:
 
 
 def _choice(record: Record, strategy: Strategy, view: View | None) -> Iterator[Block]:
-    """Yield the models with their leave-one-out RMSE, the chosen one marked."""
+    """Yield a table of the models with their leave-one-out RMSE, the chosen one marked."""
     models = strategy.candidates
     yield Detail(f"Chosen: {label_of(strategy.chosen)}, fitted to control and selection points; "
                  f"{record.seconds:.1f} s")
@@ -110,7 +110,7 @@ def _choice(record: Record, strategy: Strategy, view: View | None) -> Iterator[B
 
 
 def _search(record: Record) -> Iterator[Block]:
-    """Yield what was selected, and how it was searched for."""
+    """Yield the size of the selection, and sentences on the search for it."""
     selection = record.selection
     offered = record.offered
     if stability := record.stability:
@@ -140,7 +140,7 @@ def _max_share(record: Record) -> float:
 
 
 def _proven(record: Record) -> Iterator[Block]:
-    """Yield what was proven of the selection, and how to have more proven."""
+    """Yield the proof of the selection, and how to prove more; nothing without a certificate."""
     if record.certificate:
         exact = "--solver exact"
         if _max_share(record) == 1.0:
@@ -151,7 +151,7 @@ def _proven(record: Record) -> Iterator[Block]:
 
 
 def _certificate(certificate: Certificate, exact: str) -> str:
-    """Return what a certificate proves; `exact` is what would find the optimum."""
+    """Return the statement that a certificate proves; `exact` would find the optimum."""
     # In words: how many subsets were decided, of which space, under which limit.
     decided = f"{amount(certificate.subsets, 'subset')} enumerated"
     proven = f"{decided}, {certificate.space}"
@@ -184,7 +184,7 @@ def _certificate(certificate: Certificate, exact: str) -> str:
 
 
 def _front(record: Record, view: View | None, picture: str) -> Iterator[Block]:
-    """Yield the front, or the best so far of each size, and what is proven of these."""
+    """Yield the front, or the best so far of each size, and proofs of their members."""
     front = record.front
     by_size = record.by_size
     # Without a front, sizes that are better than all smaller ones are one.
@@ -207,7 +207,7 @@ def _front(record: Record, view: View | None, picture: str) -> Iterator[Block]:
 
 
 def _table_of_members(record: Record, members: Sequence[Member | SizeRow]) -> TableBlock:
-    """Return the table of the front, with what is proven of each size where anything is."""
+    """Return the table of the front, with a column on proofs if there are any."""
     size, *further = members[0].objectives
     names = size.removeprefix("n_")
     # The criterion may be the RMSE at selection points itself.

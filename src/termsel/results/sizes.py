@@ -14,7 +14,7 @@ _TIE = 1e-9  # criteria that differ relatively by less are equal
 
 
 def proven(row: SizeRow) -> str:
-    """Return what is proven of the best selection of a size."""
+    """Return how far the best selection of a size is proven, in words."""
     if row.optimal:
         return "proven"
     if row.gap is None:
@@ -26,7 +26,10 @@ def proven(row: SizeRow) -> str:
 
 
 def others(by_size: Sequence[SizeRow], criterion: str) -> Iterator[str]:
-    """Yield what is proven of the sizes that are no better than a smaller one, by the criterion."""
+    """Yield sentences on sizes that are no better than a smaller one by the criterion.
+
+    They say of which sizes this is proven, and of which it is not.
+    """
     settled = []
     open_ = []
     best_value = float("inf")
@@ -58,12 +61,12 @@ def recommended(members: Sequence[Member | SizeRow], selection: SelectionRecord)
 
 
 def size_of(member: Member | SizeRow) -> str:
-    """Return what a member of a front counts: "n_terms" or "n_features"."""
+    """Return the objective that is a member's size: "n_terms" or "n_features"."""
     return next(iter(member.objectives))
 
 
 def counted_by(members: Sequence[Member | SizeRow]) -> str:
-    """Return what members count, in words."""
+    """Return the plural of the things that members select, such as "terms"."""
     return SIZE_WORDS.get(size_of(members[0]), size_of(members[0]))
 
 

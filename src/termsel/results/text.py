@@ -28,7 +28,7 @@ _LABEL = 10
 
 
 def text_of(document: Document, *, with_details: bool = True, titled: bool = True) -> str:
-    """Return what is shown of a result or a study as text: the whole of it, or without details.
+    """Return the document of a result or a study as text, with or without its details.
 
     `titled` is whether it begins with the title, and not with the facts.
     """
@@ -84,7 +84,7 @@ def _block(block: Block) -> Iterator[str]:
 
 
 def _fact(fact: Fact) -> Iterator[str]:
-    """Yield a line of the first screen: the label in a column of its own."""
+    """Yield the lines of a fact of the first screen; its label has a column of its own."""
     if fact.label:
         yield from textwrap.wrap(fact.text, _WIDTH, initial_indent=fact.label.ljust(_LABEL),
                                  subsequent_indent=" " * _LABEL, break_on_hyphens=False)

@@ -52,7 +52,7 @@ def require_altair() -> Any:
 
 
 def styled(chart: Any, title: str = "", look: str = "") -> Any:
-    """Return a chart in the common style, with its title and what to look for."""
+    """Return a chart in the common style, with its title and how to read it."""
     alt = require_altair()
     if title:
         chart = chart.properties(title=alt.Title(title, subtitle=_wrapped(look)))
@@ -89,7 +89,7 @@ def _wrapped(text: str, width: int = 84) -> list[str]:
 
 
 def chart_rows(rows: list[dict[str, Any]]) -> Any:
-    """Return rows as data of a chart; what is false is left out, as what is missing is false."""
+    """Return rows as data of a chart, without False values, which a missing one equals."""
     values = []
     for row in rows:
         values.append({key: value for key, value in row.items() if value is not False})
@@ -116,7 +116,7 @@ def legend_of(kinds: dict[str, str], present: set[str]) -> Any:
 
 
 def role_legend() -> Any:
-    """Return a legend that calls roles what the field calls them."""
+    """Return a legend that shows roles by the words of the field, such as "selection"."""
     return require_altair().Legend(labelExpr=ROLE_LABELS)
 
 

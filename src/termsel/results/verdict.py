@@ -87,7 +87,7 @@ TESTABLE_RATIO = 10.0
 
 
 def off_option(record: Record) -> str:
-    """Return the option that leaves out blunders in use, independent ones too; "" for none."""
+    """Return the --off option for blunders in use, independent ones too; "" without any."""
     # A possible blunder is no reason to leave a point out; it is shown, and stays.
     wrong = [outlier.id for outlier in record.outliers
              if not outlier.excluded and outlier.certainty != "possible"]
@@ -95,7 +95,7 @@ def off_option(record: Record) -> str:
 
 
 def contradicting(record: Record) -> str:
-    """Return which independent points contradict all others, of which there are some."""
+    """Return the id of the outlier among independent points, or how many of them are outliers."""
     wrong = [outlier.id for outlier in record.outliers if outlier.role == "independent"]
     return wrong[0] if len(wrong) == 1 else f"{len(wrong)} outliers among them"
 

@@ -74,7 +74,7 @@ class View:
         """Residuals with their places in the image: line, sample, dl, ds [px]."""
         rows = []
         # Rows of charts are kept short: a page holds thousands.
-        for r, (line, sample) in zip(self._drawn_residuals, self._seen, strict=True):
+        for r, (line, sample) in zip(self._drawn_residuals, self._image_positions, strict=True):
             if np.isfinite([line, sample, r.distance]).all():
                 rows.append({**self._named(r), "line": _short(line), "sample": _short(sample),
                              "dl": _short(r.line, 4), "ds": _short(r.sample, 4)})
@@ -197,7 +197,7 @@ class View:
         """Residuals in the image by all members of the front: dls, dss [`unit`], one a member."""
         unit = self.unit
         rows = []
-        for i, r, (line, sample) in zip(self._which, self._drawn_residuals, self._seen,
+        for i, r, (line, sample) in zip(self._which, self._drawn_residuals, self._image_positions,
                                         strict=True):
             of_members = [residuals[i] for residuals in self._by_member]
             values = [line, sample]
@@ -266,8 +266,8 @@ class View:
             (self.residuals[i] for i in self._which), self.residuals.crs)
 
     @cached_property
-    def _seen(self) -> list[list[float]]:
-        """Places of the residuals in the image: as measured, of vertices as computed."""
+    def _image_positions(self) -> list[list[float]]:
+        """Line and sample of each residual [px]: of points as measured, of lines as computed."""
         # Points were measured; of lines only the ground is known, so that the model shows where it
         # is seen.
         measured = dict(zip(self.features.points.ids, self.features.points.image.tolist(),

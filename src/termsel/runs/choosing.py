@@ -91,7 +91,7 @@ class _Watch:
         self.count = 0
 
     def tell(self, activity: str, share: float | None = None) -> None:
-        """Tell what is being done, and the share of it that is done."""
+        """Show observers the present step, and the share of the work that is done, 0 to 1."""
         best = min((fitted.held_out_rmse for fitted in self.fits), default=np.inf)
         generation = Generation(self.count, np.zeros((0, 0), dtype=bool),
                                 Evaluation(np.zeros((0, 1)), np.zeros(0)))
@@ -274,7 +274,7 @@ def _choose(clean: Observations, auto: Auto, watch: _Watch, seed: int) -> _Chose
 
 
 def _no_choice(auto: Auto, data: FitData) -> TermselError:
-    """Return the error where there is no choice: of a method that is asked for, its own reason."""
+    """Return the error where no method can be chosen; for a single method with its own reason."""
     features = f"the {len(data)} control and selection {data.features.word}"
     more = "Measure more, spread over the scene"
     if not auto.is_one_method:
@@ -296,7 +296,7 @@ def _no_choice(auto: Auto, data: FitData) -> TermselError:
 
 def _strategy(choice: Choice, errors: FloatArray | None, predicted: Predicted | None,
               data: FitData, clean: Observations, rpc_unused: str) -> Strategy:
-    """Return what the record says of a choice."""
+    """Return the record of a choice; `errors` are those held out [px], None without any."""
     held_out = None
     if errors is not None:
         # Between the lines of a lattice the predicted figure is that of the interval's middle.
@@ -353,7 +353,8 @@ def _lines(fitted: Fit) -> list[str]:
 
 
 def _notes_on_rpc(request: Request, data: FitData, auto: Auto, fitted: Fit) -> tuple[str, str]:
-    """Return what is to be said first of an RPC that is given, and how it is corrected."""
+    """Return a first note on the RPC that is given, and a note on its correction; "" for neither.
+    """
     if data.features.rpc is None:
         return "", ""
     method = method_of(fitted)
@@ -390,7 +391,7 @@ def _unused_rpc(data: FitData, auto: Auto, fitted: Fit | None = None) -> str:
 def _notes(model: SensorModel, observations: Observations, errors: FloatArray | None,
            interrupted: str = "", *, plane: bool, determined: bool,
            has_geometry: bool) -> list[str]:
-    """Return what the reader must know of the control and of the figures of a choice."""
+    """Return notes on the control and on the figures of a choice; [] if all is as usual."""
     features = observations.together
     in_use = np.ones(len(features), dtype=bool)
     notes = [] if has_geometry else [*warnings_of(features, in_use, no_points())]

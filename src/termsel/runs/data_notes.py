@@ -126,7 +126,7 @@ def two_groups(features: FeatureSet) -> TwoGroups | None:
     if np.isfinite(points.ground[:, 2]).all():
         design = np.column_stack([design, points.ground[:, 2] - points.ground[:, 2].mean()])
     _, joint_residuals = _residuals(design, points.image)
-    second = _split(joint_residuals)
+    second = _beyond_largest_gap(joint_residuals)
     # Like k-means with two centres: fit with this split, then each point to the nearer group.
     for _ in range(_GROUPING_ROUNDS):
         if not LEAST_OF_GROUP <= second.sum() <= len(plan) - LEAST_OF_GROUP:
@@ -156,13 +156,16 @@ def two_groups(features: FeatureSet) -> TwoGroups | None:
 
 
 def _residuals(design: FloatArray, image: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the coefficients and the residuals of a least-squares fit."""
+    """Return the coefficients (k, 2) and the residuals (n, 2) of a least-squares fit."""
     coefficients = np.asarray(np.linalg.lstsq(design, image, rcond=None)[0], dtype=np.float64)
     return coefficients, image - design @ coefficients
 
 
-def _split(residuals: FloatArray) -> BoolArray:
-    """Return which residuals are beyond the largest gap near the middle of their main direction."""
+def _beyond_largest_gap(residuals: FloatArray) -> BoolArray:
+    """Return which residuals (n, 2) are beyond the largest gap of their main direction, (n,).
+
+    The gap must leave LEAST_OF_GROUP residuals on either side.
+    """
     projected = residuals @ np.linalg.svd(residuals, full_matrices=False)[2][0]
     # Only gaps that leave enough points on either side count.
     order = np.sort(projected)
@@ -220,7 +223,7 @@ def notes_on_data(read: FeatureSet, observations: Observations, heights: bool,
 
 
 def notes_on_dem(features: FeatureSet, fitted: Fit) -> Iterator[str]:
-    """Yield that a DEM contradicts the heights of control, with what a fit makes of that."""
+    """Yield a note if a DEM contradicts the heights of control, with its effect on the fit [px]."""
     difference = features.dem_difference
     if difference is not None and difference.contradicts:
         yield difference.sentence(pixels_of(difference, fitted.control, fitted.project))
@@ -236,7 +239,7 @@ def _note_on_blank_among_others(features: FeatureSet) -> Iterator[str]:
 
 
 def _note_on_two_groups(features: FeatureSet) -> Iterator[str]:
-    """Yield that points lie as if in two datums, with the other one's name if PROJ knows it."""
+    """Yield a note if points lie as if in two datums, with the other one's name if PROJ has it."""
     groups = two_groups(features)
     if groups is None:
         return
@@ -261,7 +264,10 @@ def _note_on_one_line(features: FeatureSet) -> Iterator[str]:
 
 
 def _plan_coordinates(features: FeatureSet) -> FloatArray:
-    """Return where features are on the ground, with one unit along all axes."""
+    """Return the plane positions of features, (v, 2), with one unit along both axes.
+
+    In geocentric coordinates they are X, Y and Z, (v, 3).
+    """
     ground = features.ground_vertices()
     plan = plan_of(features.crs, ground)
     return ground[~np.isnan(ground[:, 2])] if plan is None else plan
@@ -288,7 +294,8 @@ def _note_on_carriers(features: FeatureSet, carrying: tuple[str, ...]) -> Iterat
 
 
 def _note_on_flat(control: FitData, points: Points) -> Iterator[str]:
-    """Yield that heights show nothing, and what they may do at other points."""
+    """Yield notes if the heights of control do not show their effect, and on other points' heights.
+    """
     vertices = control.features.ground_vertices()
     carrying = carriers(control)
     # Heights without those of the one or two features that make all the relief.
@@ -326,7 +333,7 @@ def _rounded(size: float) -> str:
 
 
 def _note_on_twins(points: Points, independent: Points) -> Iterator[str]:
-    """Yield what is to be said of points that repeat each other."""
+    """Yield notes on points too close to each other; nothing without any."""
     # Too close to show anything apart: they are held out together.
     close_points = groups(points.ids, twins(points.ground))
     if close_points:

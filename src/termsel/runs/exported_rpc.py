@@ -25,7 +25,7 @@ _COUNT = "control_count"
 
 
 def rpc_of_model(model: SensorModel) -> Rpc | None:
-    """Return the RPC that an option of a model holds, if there is one."""
+    """Return the RPC that a model has as an option; None without one."""
     text = model.options.get("rpc")
     if not isinstance(text, str) or _COUNT not in text:
         return None

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 # What a result is made of: data and versions, for the record.
 
 def data_of(request: Request, observations: Observations) -> DataRecord:
-    """Return what a record says of the features of a request, as read and in their roles."""
+    """Return the record of the features of a request, as read and in their roles."""
     features = request.features
     control = observations.control
     counts = Counts(len(control.points), len(observations.check), len(observations.independent),
@@ -50,12 +50,12 @@ def data_of(request: Request, observations: Observations) -> DataRecord:
         fit_crs=control.fit_crs or features.crs,
         heights=features.heights or height_reference(features.crs) or None,
         noise=features.noise, image_size=features.image_size, counts=counts, roles=roles,
-        read=_read(request, observations),
+        read=_what_was_read(request, observations),
         rpc=None if features.rpc is None else features.rpc.numbers())
 
 
-def _read(request: Request, observations: Observations) -> WhatWasRead:
-    """Return what was read, and what of it takes no part for another reason than as a blunder."""
+def _what_was_read(request: Request, observations: Observations) -> WhatWasRead:
+    """Return the record of the features read, and of those out of use, except blunders."""
     read = request.read
     points = request.features.points
     difference = read.dem_difference
@@ -91,7 +91,7 @@ def _read(request: Request, observations: Observations) -> WhatWasRead:
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of termsel and what it computes with."""
+    """Return the versions of Python, termsel and the packages it computes with, by name."""
     return {"python": platform.python_version(), **_packages()}
 
 
@@ -119,7 +119,7 @@ def plugins_of(request: Request, **replaced: Any) -> dict[str, dict[str, str]]:
 
 
 def _origin(component: Any) -> dict[str, str]:
-    """Return what identifies a thing; nothing for one of termsel itself."""
+    """Return name and version of the plugin that provides a component; {} for termsel's own."""
     if isinstance(component, type) and is_own(component):  # without a look at all the others
         return {}
     # By its object: two plugins may give the same name.
@@ -135,7 +135,7 @@ def _origin(component: Any) -> dict[str, str]:
 
 
 def notes_on_sessions(plugins: Mapping[str, Mapping[str, str]]) -> Iterator[str]:
-    """Yield what is needed to read a result of a model again that no plugin provides.
+    """Yield a note if a result needs a model that no plugin provides, with how to register it.
 
     The plugins are as `plugins_of` returns them.
     """

@@ -64,7 +64,7 @@ def with_fit_crs(choice: str, observations: Observations, model: SensorModel) ->
     # Geocentric axes mix plan and height, so that a plane model cannot use them.
     spatial = model.uses_height and observations.heights
     if choice == AUTO:
-        fit_crs = _best(observations, spatial)
+        fit_crs = _best_predicting_crs(observations, spatial)
     else:
         fit_crs = fit_crs_of(choice, control)
         if not spatial and is_geocentric(fit_crs):
@@ -84,9 +84,10 @@ def with_fit_crs(choice: str, observations: Observations, model: SensorModel) ->
 
 
 def fit_crs_of(choice: str, control: FeatureSet) -> str:
-    """Return the name of a CRS for control that has one (refuses what `with_fit_crs` does).
+    """Return the name of the CRS in which to fit control that has a CRS.
 
-    The choice is "geodetic", "projected", "geocentric", or a CRS by its own name.
+    The choice is "geodetic", "projected", "geocentric", or a CRS by its own name. Raises
+    TermselError if the choice is no CRS, or none for this control.
     """
     if choice not in SYSTEMS:
         try:
@@ -119,7 +120,7 @@ def _around(control: FeatureSet) -> str:
 
 
 def _places(control: FeatureSet) -> FloatArray:
-    """Return longitudes without a jump, latitudes and heights of the control."""
+    """Return longitudes without a jump, latitudes [deg] and heights of the control, (v, 3)."""
     geodetic = transformation(control.crs, geodetic_of(control.crs))(control.ground_vertices())
     return np.column_stack([continuous(geodetic[:, 0]), geodetic[:, 1:]])
 
@@ -159,8 +160,11 @@ def with_polar(observations: Observations) -> Observations:
     return observations.fitted_in(polar)
 
 
-def _best(observations: Observations, spatial: bool) -> str:
-    """Return the CRS in which the best of the plain and regularised models predicts best."""
+def _best_predicting_crs(observations: Observations, spatial: bool) -> str:
+    """Return the CRS in which the best of the plain and regularised models predicts best.
+
+    If no model can be tested in any, it is the CRS of the features.
+    """
     features = observations.together
     predicted: dict[str, float] = {}
     for system in SYSTEMS:

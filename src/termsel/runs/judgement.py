@@ -31,16 +31,17 @@ def judge(conventional: str, criterion: str, rmse: Rmses,
           baselines: tuple[Baseline, ...], reference: str, feasible: bool,
           noise: float | None, *, converged: bool = True, method: Method | None = None,
           blunders: int = 0, evaluations: int | None = None) -> str:
-    """Return one or two sentences that compare the selection with what needs no search.
+    """Return one or two sentences that compare the selection with fits that need no search.
 
-    `conventional` is what the conventional fit uses, such as "all lines"; that fit is the first
-    baseline. `reference` names the one that the rule of auto chooses for control and check, if any;
-    `method` is what it is, by default that of its name, and `blunders` how many features it
-    leaves out as such. The criterion is what the search minimised, the RMSE are those of the
-    selection by role, like the baselines' without independent points that contradict all others,
-    and the noise is the standard deviation of the measurements [px], where it is known. A selection
-    that is not `feasible` may be so because its fit has not `converged`, or because its search had
-    too few `evaluations`, which are those of a search that its budget ended.
+    `conventional` names the features and terms of the conventional fit, such as "all lines"; that
+    fit is the first baseline. `reference` names the one that the rule of auto chooses for control
+    and check, "" without one; `method` is that method, by default the one of its name, and
+    `blunders` how many features it leaves out as such. The criterion is what the search minimised,
+    the RMSE are those of the selection by role, like the baselines' without independent points that
+    contradict all others, and the noise is the standard deviation of the measurements [px], None if
+    it is not known. A selection that is not `feasible` may be so because its fit has not
+    `converged`, or because its search had too few `evaluations`, which are those of a search that
+    its budget ended.
     """
     if not converged:
         return ("The fit of this selection did not converge: its coefficients are those of the "
@@ -163,7 +164,7 @@ def _conventional_in_hindsight(rmse: float, named: Baseline,
 
 
 def name_conventional(genome: Genome, observations: Observations) -> str:
-    """Return in words what a fit uses that leaves out nothing of what could be selected."""
+    """Return the features and terms of a fit that selects none, such as "all lines"."""
     # What could be selected says what the conventional fit leaves in.
     lines = len(observations.control.lines)
     points = len(observations.control.points)
@@ -204,7 +205,7 @@ def _compare(start: str, rmse: float, reference: float, title: str, *, determine
 
 def notes_on(observations: Observations, criterion: Criterion, search: SearchResult,
              fitted: Fit) -> Iterator[str]:
-    """Yield what else the reader of a result must know."""
+    """Yield further notes for the reader of a result, if there are any."""
     yield from search.notes
     if len(observations.control.lines) and not len(observations.control.points):
         idle = len(observations.off)

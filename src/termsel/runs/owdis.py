@@ -34,7 +34,7 @@ def with_selected_lines(control: FitData, choice: Choice, auto: Auto,
 
     The control has points and lines, the choice is that of `choose_features`; how OWDIS compares
     with it is added to its reason. With OWDIS come the errors of the points under selections made
-    without them [px], (n_points, 2). The seed is that of the search.
+    without them [px], (n_points, 2), else None. The seed is that of the search.
     """
     lines = control.features.lines
     count = len(control.features.points)
@@ -92,7 +92,10 @@ def _select_features(control: FitData, seed: int) -> FitData | None:
 
 
 def _held_out(control: FitData, auto: Auto, seed: int) -> FloatArray | None:
-    """Return the errors of points under selections made without them; None if a fold has none."""
+    """Return the errors of points by selections without them [px], (n, 2).
+
+    None if some fold leaves no choice.
+    """
     points = control.features.points
     errors = np.empty((len(points), 2))
     # Folds spread over the scene, so that no fold leaves an area without points.

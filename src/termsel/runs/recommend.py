@@ -59,7 +59,7 @@ def recommended(task: Task, search: SearchResult) -> SearchResult:
 
 def _proof_of_member(certificate: Mapping[str, Any] | None, value: float,
                      optimum: float) -> Mapping[str, Any] | None:
-    """Return what a proof of the front's best member says of another one."""
+    """Return the certificate of a member, given that of the front's best; None without that."""
     if certificate is None or not certificate["optimal"] or value == optimum:
         return certificate
     return {**certificate, "optimal": False, **gap_of(value, optimum)}

@@ -41,7 +41,10 @@ log = logging.getLogger(__name__)
 
 def auto_of(method: str | Method | Callable[[FeatureSet], Any] | None,
             memory: Memory | None = None) -> Auto:
-    """Return the choice by a method: its name, itself or a function; by default among all."""
+    """Return the choice by a method: its name, a Method or a function; by default among all.
+
+    Raises TermselError for anything else, and for an unknown name.
+    """
     if method is None or method == "auto":
         return auto_of_all(memory)
     if isinstance(method, Auto):
@@ -74,9 +77,10 @@ def class_of(component: type[Configurable] | Configurable) -> type[Configurable]
 
 def with_options(role: str, component: type[Configurable] | Configurable,
                  options: Mapping[str, Any]) -> Any:
-    """Return an instance of a class, or the instance that is given, which takes no options.
+    """Return an instance of a class with its options, or the instance that is given.
 
-    `role` is what it is, such as "model".
+    `role`, such as "model", names it in messages. Raises TermselError for unknown options, and for
+    any if an instance is given.
     """
     # A class gets the options; an instance has been made with its own.
     if isinstance(component, type):
@@ -244,7 +248,10 @@ class Request:
 
 def method_words(model: Any = None, solver: Any = None, criterion: Any = None,
                  options: Mapping[str, Any] | None = None) -> list[str]:
-    """Return the words for what is asked for of a method, which "auto" would choose itself."""
+    """Return the words for parts and options of a method, which "auto" would choose itself.
+
+    They are those that the user gave, such as "model" or "the option degree"; [] without any.
+    """
     # Plain, or with the part they are of before a dot.
     of_data = {option.name for option in DATA_OPTIONS}
     of_data |= {f"data.{name}" for name in of_data}
@@ -264,9 +271,9 @@ def request_of(
     criterion: str | type[Criterion] | Criterion | None = None,
     options: Mapping[str, Any] | None = None,
 ) -> Request:
-    """Return what is asked for, by names or by the things themselves, or refuse it.
+    """Return the request that names, or things themselves, and options make; by default None.
 
-    None is where nothing is said. All is as for `termsel.prepare`.
+    The arguments are those of `termsel.prepare`. Raises TermselError for unknown names and options.
     """
     names = registry()
     settings = options or {}
@@ -441,7 +448,7 @@ def loaded(spec: DatasetSpec) -> FeatureSet:
 
 
 def require_type(function: Callable[..., Any], name: str, value: Any, expected: type) -> None:
-    """Refuse what a function of a plugin must not return."""
+    """Raise PluginFault if a plugin's function returned another type than expected."""
     fault = of_type(value, expected)
     if fault is not None:
         raise wrong(function, name, fault)

@@ -189,7 +189,7 @@ def run(
         require_resumable(task.solver)
 
     def result_of_run() -> Result:
-        """Return what the method, or the search, finds."""
+        """Return the result of the method, or of the search."""
         if sole_method is not None:
             return assess(sole_method, task, seed=seed, observers=observers, memory=memory)
         from termsel.runs.searching import Search  # not for auto
@@ -215,7 +215,7 @@ def _warn_of_search(task: Task, words: Sequence[str], *, is_in_place_of_auto: bo
 
 
 def _seconds_of_compilation(task: Task, sole_method: Method | None) -> int:
-    """Return how many seconds longer a run takes as it compiles, if it does."""
+    """Return how many seconds longer a run takes as it compiles; 0 if nothing is compiled."""
     if not isinstance(sole_method, Auto):
         return SEARCH_COMPILES if kernels.needs_compilation() else 0
     # Whether a search of lines follows, which compiles more, is not known yet.
@@ -224,7 +224,7 @@ def _seconds_of_compilation(task: Task, sole_method: Method | None) -> int:
 
 
 def _refuse_next_to_task(arguments: Mapping[str, Any]) -> None:
-    """Refuse what is asked for next to a task that has been prepared."""
+    """Raise TermselError for arguments given next to a prepared task, which has them already."""
     named = sorted(name for name, value in arguments.items() if value is not None)
     if named:
         raise TermselError(f"a prepared task takes no {', '.join(named)}",

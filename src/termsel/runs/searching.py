@@ -194,7 +194,7 @@ BUDGETS = ("generations", "evaluations", "seconds", "patience")
 
 
 def assessed(task: Task, search: SearchResult) -> Result:
-    """Return the result of what a search found."""
+    """Return the result of a finished search."""
     return result_of(task.request, finding_of(task, search, Auto()))
 
 
@@ -314,14 +314,15 @@ def estimated(task: Task, selection: Selection, search: SearchResult) -> Fit:
 
 
 def _certificate(task: Task, search: SearchResult, fitted: Fit) -> Certificate | None:
-    """Return what the solver proved, or how far its find is from the proven optimum."""
+    """Return the solver's proof, or how far it is from a proven optimum; None if neither is known.
+    """
     # A certificate of the solver, or the gap to an optimum that enumeration proves quickly.
     content = _proven(task, search, fitted)
     return None if content is None else convert(plain(content), Certificate)
 
 
 def _proven(task: Task, search: SearchResult, fitted: Fit) -> Mapping[str, Any] | None:
-    """Return the certificate of a search, or how far from the optimum it is at most."""
+    """Return the certificate of a search, or its distance from the optimum; None without either."""
     # What a solver of a plugin proves is its claim, and named as such.
     claim = plugins_of(task.request).get("solver")
     if search.certificate is not None and claim:
@@ -334,7 +335,10 @@ def _proven(task: Task, search: SearchResult, fitted: Fit) -> Mapping[str, Any] 
 
 
 def _required_certificate(certificate: Mapping[str, Any], solver: str) -> dict[str, Any]:
-    """Return what a plugin's certificate must say; refuse one that does not."""
+    """Return the keys that a certificate needs of a plugin's.
+
+    Raises TermselError, naming the solver, if one is missing or of another type.
+    """
     kinds = {"optimal": bool, "subsets": int, "of": int, "space": str}
     if not isinstance(certificate, Mapping) or any(
             not isinstance(certificate.get(key), kind) for key, kind in kinds.items()):
@@ -345,7 +349,7 @@ def _required_certificate(certificate: Mapping[str, Any], solver: str) -> dict[s
 
 
 def _sizes(task: Task, search: SearchResult) -> list[SizeProof]:
-    """Return what the solver proved of the selections of each size; nothing of a plugin's."""
+    """Return the solver's proofs of the selections of each size; [] of a plugin's solver."""
     return [] if search.proof is None or "solver" in plugins_of(task.request) \
         else search.proof.by_size(task.problem)
 
@@ -378,7 +382,10 @@ def fit_of(task: Task, selection: Selection) -> Fit:
 
 
 def _mask(task: Task, names: tuple[str, ...], fitted: Iterable[str], kind: str) -> BoolArray:
-    """Return which names a problem's `decode` gives; refuse one that there is not."""
+    """Return which of n names a problem's `decode` gives, (n,).
+
+    Raises PluginFault for a name that is none of them.
+    """
     names_fitted = set(fitted)
     if not names_fitted <= set(names):
         error = unknown_name(kind, min(names_fitted - set(names)), names)

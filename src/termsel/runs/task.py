@@ -74,7 +74,8 @@ def require_enough(observations: Observations, recipe: Recipe, criterion: Criter
         noun = f"control {control.word.removesuffix('s')}"
         others = _others_in_words(observations)
         raise TermselError(
-            f"{_given(control)}{others}; {recipe.name} needs at least {counted(fewest, noun)}",
+            f"{_count_of_control(control)}{others}; {recipe.name} needs at least "
+            f"{counted(fewest, noun)}",
             hint=("Measure more, or give more features the role control." if others
                   else "Measure more.")
                  + " Or choose by leave-one-out, without selection points: --criterion press."
@@ -109,15 +110,14 @@ def require_enough(observations: Observations, recipe: Recipe, criterion: Criter
             hint="Add lines of another direction, or control points with --set mixed=true.")
 
 
-def _given(control: FeatureSet) -> str:
+def _count_of_control(control: FeatureSet) -> str:
     """Return how many control features there are, such as "1 control point"."""
     noun = control.word.removesuffix("s")
     return _number(len(control), f"control {noun}")
 
 
 def _others_in_words(observations: Observations) -> str:
-    """Return which points are not control, where some are, such as ", next to 1 selection point".
-    """
+    """Return how many points are not control, such as ", next to 1 selection point"; "" if none."""
     kinds = ((observations.check, "selection point"),
              (observations.independent, "independent check point"))
     others = [counted(len(features), noun) for features, noun in kinds if len(features)]
@@ -187,7 +187,7 @@ class Task(Glance):
 
     @property
     def then(self) -> Solver | None:
-        """The solver of the second of two steps, if it is another one."""
+        """The solver of the second of two steps; None if there is one step."""
         return self.request.then
 
     @property
@@ -212,7 +212,7 @@ class Task(Glance):
 
     @cached_property
     def inputs(self) -> ProblemData:
-        """What the problem is made of, in scaled coordinates."""
+        """The data of the problem, in scaled coordinates."""
         control = self.observations.control
         options = dict(self.request.options["problem"])
         # Check points with relief do not help control without.
@@ -307,7 +307,10 @@ def prepare(
 def given_features(features: Any, source: str | None, crs: str | None,
                    columns: str | Mapping[str, Any] | None, rpc: Rpc | Path | str | None = None,
                    ) -> tuple[FeatureSet | None, str | None]:
-    """Return the features that are given or read, with their RPC, and where they come from."""
+    """Return the features given or read, with their RPC, and their source; None without features.
+
+    Raises TermselError if only crs, columns or rpc are given.
+    """
     if features is None:
         if crs is not None or columns is not None or rpc is not None:
             raise TermselError("crs, columns and rpc are for features that are given",
@@ -319,7 +322,10 @@ def given_features(features: Any, source: str | None, crs: str | None,
 
 
 def prepared(request: Request) -> Task:
-    """Return the task of what is asked; refuse what its problem cannot be built from."""
+    """Return the task of a request, its problem built.
+
+    Raises TermselError if the problem cannot be built from the features.
+    """
     # A problem is built at once, so that what is wrong is said before a search begins.
     request = with_shares(request)
     task = Task(request, observe(request))
@@ -334,7 +340,9 @@ def checked(task: Task) -> Task:
 
 
 def observe(request: Request, fewest: int = MIN_CONTROL) -> Observations:
-    """Return the features, each in its role, in the CRS of the fit; at least so many are control.
+    """Return the features, each in its role, in the CRS of the fit.
+
+    Raises TermselError if fewer than `fewest` are control, or a model lacks heights.
     """
     request = with_shares(request)
     recipe = request.recipe
@@ -437,7 +445,8 @@ def _refuse_searched(request: Request, problem: ParameterProblem) -> None:
 
 
 def _check_as(request: Request, observations: Observations) -> str:
-    """Return what selection points are, where the option does not say: judges or control."""
+    """Return the use of selection points, "judge" or "control": as the option says, or as needed.
+    """
     judging = request.criterion.needs_check or not len(observations.control.points)
     return request.options["data"]["check_as"] or ("judge" if judging else "control")
 
@@ -451,7 +460,7 @@ _NEARER = 0.5
 
 
 def part_of_rpc(control: FeatureSet) -> ImagePart | None:
-    """Return what the image of control is of that of its RPC, if this is another one.
+    """Return which part of its RPC's image the image of control is; None if it is the whole.
 
     Raises TermselError if the heights of control refer to another surface than the ellipsoid, and
     PROJ cannot convert them.
@@ -576,7 +585,7 @@ def fewest_features(features: FeatureSet, auto: Auto) -> int:
 
 
 def require_alone(method: object, words: list[str]) -> None:
-    """Refuse a method next to what is asked for of a search, in words."""
+    """Raise TermselError for a method next to parts or options of a search, given in words."""
     if method is not None and words:
         raise TermselError(f"a method is given, and {words[0]}, which is of a search",
                            hint="Leave one of them out.")

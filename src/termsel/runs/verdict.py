@@ -84,8 +84,7 @@ def exchange_of(control: FitData) -> Exchange | None:
 
 
 def errors_by_others(control: FitData) -> FloatArray:
-    """Return how far each point is from where an affine transformation of the others sees it [px].
-    """
+    """Return the distance of each point from its affine prediction by the others [px], (n,)."""
     points = control.scaled.points
     columns = np.column_stack([np.ones(len(points)), points.ground[:, :2]])
     errors = np.empty(len(points))
@@ -98,7 +97,7 @@ def errors_by_others(control: FitData) -> FloatArray:
 
 
 def _turnings(ground: FloatArray, image: FloatArray) -> IntArray:
-    """Return the signs by which triangles turn in the image and on the ground, multiplied.
+    """Return the signs by which triangles turn in the image and on the ground, multiplied, (t,).
 
     0 of those that are thin. Lines count downwards, so that an image that is not mirrored has -1.
     """
@@ -125,7 +124,7 @@ def _mixed(turnings: IntArray) -> bool:
 
 
 def _affine_residuals(ground: FloatArray, image: FloatArray) -> float:
-    """Return what an affine transformation leaves of image places, by its freedom."""
+    """Return the standard deviation of image places about an affine transformation."""
     columns = np.column_stack([np.ones(len(ground)), ground])
     residuals = image - columns @ np.linalg.lstsq(columns, image)[0]
     return float(np.sqrt((residuals**2).sum() / max(2 * len(ground) - 6, 1)))
@@ -186,7 +185,7 @@ def judge_features(observations: Observations, auto: Auto,
     verdict = Verdict(off_plane_outliers, high=high if off_plane_outliers else frozenset())
     pool = observations.pool
     features = pool.features
-    suspects = _that_can_be_seen(auto.suspects(pool) or find_blunders(pool, auto))
+    suspects = _visible_suspects(auto.suspects(pool) or find_blunders(pool, auto))
     # The median over features of the error that would be named, for the record.
     limit = None if suspects is None else finite_or_none(float(median(suspects.limits)))
     verdict = replace(verdict, test=BlunderTest(
@@ -208,7 +207,7 @@ def judge_features(observations: Observations, auto: Auto,
 
 
 def _note_on_contradictions(pool: FitData, suspects: Suspects) -> Iterator[str]:
-    """Yield what to do where about half of the points contradict the others, but are too few."""
+    """Yield advice if about half of the points contradict the others, but all are too few."""
     agreeing = agreement(pool)
     if agreeing is None or (~agreeing <= suspects.blunders).all():
         return
@@ -217,8 +216,8 @@ def _note_on_contradictions(pool: FitData, suspects: Suspects) -> Iterator[str]:
            f"{', '.join(select(pool.features.ids, ~agreeing))} in the image.")
 
 
-def _that_can_be_seen(suspects: Suspects | None) -> Suspects | None:
-    """Return suspects without those whose errors are too small to be measured."""
+def _visible_suspects(suspects: Suspects | None) -> Suspects | None:
+    """Return suspects without those whose errors are too small to be measured; None of None."""
     if suspects is None:
         return None
     is_visible = suspects.errors > UNSEEN
@@ -238,7 +237,7 @@ def _unlike_any_view(pool: FitData, exchange: Exchange,
 
 
 def _note_on_exchange(features: FeatureSet, exchange: Exchange) -> str:
-    """Return what shows that points are wrong, and which."""
+    """Return a note on which points are wrong or exchanged, and the reason."""
     ids = [features.ids[i] for i in exchange.points]
     reason = "no view of a plane reverses some triangles of points and others not, as these do"
     if exchange.is_pair:
@@ -286,7 +285,7 @@ def judge_independent(observations: Observations, choice: Choice | None, auto: A
             control = FitData.of(choice.chosen.control, observations.heights)
             points = points.take(off_plane(control, points.ground)[1] <= MEASURED)
         suspects = judge_others(choice.chosen, observations.heights, points, auto.memory)
-    suspects = _that_can_be_seen(suspects)
+    suspects = _visible_suspects(suspects)
     if suspects is None or not suspects.blunders.any():
         return Verdict(), observations
     # Where most contradict the model it is the model, or their datum, that is in doubt.
@@ -322,7 +321,10 @@ def _most_blunders(count: int, of_others: Verdict | None) -> float:
 
 def _contradicting_known_image(fitted: Fit, points: Points, heights: bool,
                                auto: Auto) -> Suspects | None:
-    """Return which other points contradict what the chosen model knows of the image, if it does."""
+    """Return the other points that contradict the known image of the chosen model.
+
+    None if the model has none, or there are no such points.
+    """
     if not method_of(fitted).from_one or not len(points):
         return None
     control = fitted.control
@@ -339,7 +341,7 @@ def _contradicting_known_image(fitted: Fit, points: Points, heights: bool,
 
 def _outliers(features: FeatureSet, roles: dict[str, Role],
               suspects: Suspects) -> tuple[Outlier, ...]:
-    """Return what is found of features, the worst first; nothing is excluded."""
+    """Return the outliers among features, the largest error first; none is excluded."""
     lines = frozenset(features.lines.features)
     is_outlier = suspects.blunders | suspects.undecided
     outliers = []

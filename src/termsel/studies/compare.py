@@ -153,7 +153,10 @@ FINISHING = "The runs under way are being finished. Ctrl-C once more ends at onc
 
 def asked(study: Path | str | Mapping[str, Any] | None, keys: Mapping[str, Any]
           ) -> tuple[Spec, Path]:
-    """Return what a study asks for, and the folder that its file names are relative to."""
+    """Return the spec of a study, and the folder that its file names are relative to.
+
+    Raises TermselError for keys next to a study file.
+    """
     if isinstance(study, str | Path):
         if keys:
             raise TermselError(f"{min(keys)} is given next to a study file",
@@ -234,7 +237,10 @@ def _cells_of_all_sizes(cells: list[Cell], sizes: list[int]) -> list[Cell]:
 
 
 def _mean_time(sizes: list[int], seconds: Mapping[int, float]) -> float | None:
-    """Return the mean time of cells whose features are so many, by those that were timed."""
+    """Return the mean time [s] of cells with these numbers of features, by those timed.
+
+    None if none was timed.
+    """
     if not seconds:
         return None
     timed = sorted(seconds)

@@ -72,7 +72,8 @@ def require(condition: object, message: str) -> None:
 def refused(call: Callable[[], object], path: Path, content: str, unnoticed: str) -> None:
     """Require that a call raises a TermselError that names a file.
 
-    `what` is wrong with the file; `unnoticed` is said where nothing is raised.
+    `content` says what is wrong with the file, `unnoticed` that nothing was raised; both are for
+    the message. Raises AssertionError otherwise.
     """
     try:
         call()

@@ -26,7 +26,7 @@ class Glance:
                                           for name, value in rows.items())])
 
     def _repr_html_(self) -> str:
-        """Return the same as a table, for notebooks."""
+        """Return the repr as a table of HTML, for notebooks."""
         title, rows = self._glance()
         cells = "".join(
             f"<tr><th style='text-align:left'>{escape(name)}</th>"

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def quieted(name: str, level: int) -> Iterator[None]:
-    """Keep what is logged under a name, below a level, from the messages."""
+    """Keep messages of a logger below a level from being shown during a block."""
     logger = logging.getLogger(name)
     before = logger.level
     logger.setLevel(level)

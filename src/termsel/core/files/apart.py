@@ -128,7 +128,7 @@ def serve(drivers: tuple[str, ...] = (), remote: bool = False) -> None:
 
 
 def _limit(memory: int, seconds: float) -> None:
-    """Limit what this process may use from now on, as far as the system can."""
+    """Limit memory [bytes] and CPU time of this process from now on; only on Linux."""
     if sys.platform != "linux":
         return
     import resource

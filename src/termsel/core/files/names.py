@@ -24,7 +24,7 @@ STABILITY = "stability.json"
 
 
 def is_there(path: Path) -> bool:
-    """Return whether there is such a file or folder; TermselError if it cannot be told."""
+    """Return whether a file or folder exists; raises TermselError if it cannot be looked for."""
     try:
         path.stat()
     except (FileNotFoundError, NotADirectoryError):
@@ -64,7 +64,7 @@ def refuse_pipe(path: Path) -> None:
 
 
 def require_regular(path: Path, named_by: object = None) -> None:
-    """Refuse what is no regular file, such as a pipe, which a file may name or be next to."""
+    """Raise TermselError for a pipe or device, which a file may name or be next to."""
     if _kind(path) not in (None, stat.S_IFREG):
         prefix = "" if named_by is None or str(named_by) == str(path) else f"{path.name!r}: "
         raise TermselError(f"{prefix}this is a pipe or a device, expected a file",
@@ -146,7 +146,7 @@ def may_be_crs(text: str) -> bool:
 
 
 def refuse_grids(crs: str, file: object = None) -> None:
-    """Refuse a CRS that names a file or an address of its own, which PROJ would open.
+    """Raise TermselError for a CRS that names a file or an address, which PROJ would open.
 
     Grids by name alone are those of PROJ's own folder.
 
@@ -183,7 +183,7 @@ def utf8_name(path: Path | str) -> Iterator[Path | str]:
 
 @contextmanager
 def utf8_folder(folder: Path) -> Iterator[Path]:
-    """Yield a name of a folder to write to, likewise."""
+    """Yield a name in UTF-8 of a folder to write to: its own, or that of a link to it."""
     if _is_utf8(folder):
         yield folder
         return

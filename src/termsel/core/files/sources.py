@@ -116,9 +116,9 @@ def refuse_foreign(path: Path | str) -> list[str]:
 
 
 def is_single_file(path: Path | str) -> bool:
-    """Return whether GDAL opens nothing with a raster but the file itself, unless that names more.
+    """Return whether GDAL opens no other file with a raster, unless the raster names one.
 
-    A file in memory of this process is such, too: nobody else has made it.
+    So it is of a file in memory of this process: nobody else has made it.
     """
     if str(path).startswith("/vsimem/"):
         return True
@@ -129,7 +129,7 @@ def is_single_file(path: Path | str) -> bool:
         if _is_virtual(file.read(_HEAD_BYTES)):
             return False
     # Overviews, masks and auxiliary files belong to a raster by their name alone.
-    return not any(_near(path))
+    return not any(_names_next_to(path))
 
 
 def may_name_more(path: str) -> bool:
@@ -273,7 +273,10 @@ class _Chain:
                              DRIVER_HINT.format(name=name.partition(":")[0]))
 
     def _require_file(self, name: str, depth: int) -> int:
-        """Require a file of the disk and what is next to it."""
+        """Require a file of the disk and its neighbours; return 1 and the files it names.
+
+        Raises TermselError for a folder, pipe or device.
+        """
         path = Path(name)
         if path.is_dir():
             raise self.error(f"it refers to the folder {cut(name, 100)!r}" if depth else
@@ -306,7 +309,7 @@ class _Chain:
 
     def _require_neighbours(self, path: Path, depth: int) -> None:
         """Require the overviews, masks and auxiliary files that GDAL would open as well."""
-        for entry in _near(path):
+        for entry in _names_next_to(path):
             name = entry.casefold()
             neighbour = path.parent / entry
             if name.endswith((".ovr", ".msk", ".aux", ".rrd")):
@@ -321,7 +324,7 @@ class _Chain:
             require_regular(path.parent / entry, self.start)
 
     def _require_auxiliary_xml(self, path: Path, depth: int) -> None:
-        """Require what an .aux.xml names."""
+        """Require the files that an .aux.xml names; nothing if it cannot be read or is empty."""
         try:
             with path.open("rb") as file:
                 content = file.read(_LARGEST_XML + 1)
@@ -360,7 +363,8 @@ class _Chain:
         return 1
 
     def _require_members_near(self, name: str, archive: Path, member: str, depth: int) -> None:
-        """Require what GDAL would open next to a file in an archive, as next to one on the disk."""
+        """Require the files of an archive that GDAL would open next to one in it, as on the disk.
+        """
         members = _members(name, archive)
         if members is None:  # a single file, next to which are those of the disk
             self._require_neighbours(archive, depth)
@@ -438,15 +442,15 @@ class _Chain:
 
 
 def _neighbour_beginnings(raster: PurePath) -> tuple[str, ...]:
-    """Return what names of files begin with that GDAL opens with a raster: map.tif. or map_."""
+    """Return how names of files begin that GDAL opens with a raster: "map.tif.", "map_", ..."""
     beginnings = []
     for stem in (raster.name, raster.stem):
         beginnings += [f"{stem}.".casefold(), f"{stem}_".casefold()]
     return tuple(beginnings)
 
 
-def _near(path: Path) -> Iterator[str]:
-    """Yield the files in the folder of a raster that have its name with another ending."""
+def _names_next_to(path: Path) -> Iterator[str]:
+    """Yield the names of files in a raster's folder that are its name with another ending."""
     beginnings = _neighbour_beginnings(path)
     for entry in _entries(str(path.parent)):
         # Without regard to case, as GDAL tries both, and some file systems do not show them apart.
@@ -543,7 +547,10 @@ def _is_in_archive(name: str) -> bool:
 
 
 def _archive_and_member(name: str) -> tuple[Path | None, str]:
-    """Return the archive of a name such as /vsizip/maps.zip/map.tif, and the name in it."""
+    """Return the archive of a name such as /vsizip/maps.zip/map.tif, and the name in it.
+
+    The archive is None if there is no such file, and the name "" if none is given.
+    """
     match = _ARCHIVE.match(name)
     # The longest beginning of the name that is a file is the archive, as GDAL looks for it.
     path_in_disk = match[2] if match else ""
@@ -577,7 +584,10 @@ def _members(name: str, archive: Path) -> list[str] | None:
 
 
 def _content(name: str, archive: Path, member: str) -> bytes | None:
-    """Return the beginning of a file in an archive; all of it if it is a virtual raster."""
+    """Return the beginning of a file in an archive; all of it if it is a virtual raster.
+
+    None if the archive cannot be read, or has no such file.
+    """
     try:
         if name.startswith("/vsigzip/"):
             with gzip.open(archive) as file:

@@ -81,7 +81,7 @@ def xml_text(text: str) -> str:
 
 
 def xml_attribute(text: str) -> str:
-    """Return text as an attribute of XML with its quotation marks, likewise."""
+    """Return text as an attribute of XML, in quotation marks; U+FFFD for characters XML lacks."""
     return quoteattr(_NO_XML.sub("\ufffd", text))
 
 
@@ -91,10 +91,10 @@ def xml_characters(text: str) -> str:
 
 
 def is_xml_text(text: str) -> bool:
-    """Return whether XML can hold a text as it is, such as the name of a file."""
+    """Return whether XML can hold a text without a change, such as the name of a file."""
     return _NO_XML.search(text) is None
 
 
 def markdown_text(text: str) -> str:
-    """Return text on one line of Markdown, as it is: no HTML, no link, no control characters."""
+    """Return text on one line of Markdown that shows it: no HTML, link or control character."""
     return " ".join(printable(" ".join(text.split())).translate(_MARKDOWN).split())

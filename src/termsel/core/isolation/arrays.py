@@ -10,9 +10,9 @@ import numpy as np
 
 def of_shape(value: Any, shape: tuple[int, ...], *, finite: bool = True,
              verb: str = "returned") -> str | None:
-    """Return how an array of numbers differs from what is expected, None if it does not.
+    """Return how a value differs from an array of numbers of a shape; None if it does not.
 
-    In the shape -1 stands for any length. The message begins with `what`.
+    In the shape -1 stands for any length. The message begins with `verb`, such as "returned".
     """
     sizes_fit = isinstance(value, np.ndarray) and len(value.shape) == len(shape) and all(
         expected_size in (-1, size)
@@ -37,7 +37,7 @@ def _list_in_words(shape: tuple[int, ...]) -> str:
 
 
 def returns(expected: type) -> Callable[..., str | None]:
-    """Return a check of methods, for `Guarded`, that must return an object of a type."""
+    """Return a check, for `Guarded`, that a method returns an object of a type."""
     return lambda _object, value, *_args: of_type(value, expected)
 
 

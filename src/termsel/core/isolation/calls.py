@@ -72,7 +72,7 @@ def _is_own(cls: type, name: str) -> bool:
 
 
 def _guards(cls: type) -> dict[str, Check | None]:
-    """Return the guards of a class and all its bases."""
+    """Return the checks of a class and all its bases by method; None for one without a check."""
     guards: dict[str, Check | None] = {}
     # From the most general class on: a subclass may replace a check.
     for base in reversed(cls.__mro__):
@@ -80,7 +80,7 @@ def _guards(cls: type) -> dict[str, Check | None]:
     return guards
 
 
-def _plain(plugin_object: Any) -> bool:
+def _needs_no_guard(plugin_object: Any) -> bool:
     """Return whether a call needs no guard: from the same package, or from a conformance suite."""
     return _off.get() or inside() == package_of(type(plugin_object))
 
@@ -90,7 +90,7 @@ def _guard_of(name: str, function: Callable[..., Any], check: Check | None) -> C
     @wraps(function)
     def call(self: Any, *args: Any, **options: Any) -> Any:
         # Who fails is told by the outermost call alone.
-        if _plain(self):
+        if _needs_no_guard(self):
             return function(self, *args, **options)
         with blamed(self, name):
             value = function(self, *args, **options)
@@ -101,7 +101,7 @@ def _guard_of(name: str, function: Callable[..., Any], check: Check | None) -> C
 
 def _check_returned(check: Check | None, plugin_object: Any, name: str, value: Any, *args: Any,
                     **options: Any) -> Any:
-    """Return what a method returned or yielded; raise a PluginFault where that is wrong."""
+    """Return what a method returned or yielded; raise PluginFault if the check finds a fault."""
     fault = check(plugin_object, value, *args, **options) if check is not None else None
     if fault is not None:
         raise wrong(plugin_object, name, fault)
@@ -113,10 +113,10 @@ def _guard_of_iterator(name: str, function: Callable[..., Any],
     """Return the guard of a method that returns an iterator, each step of which is guarded."""
     @wraps(function)
     def call(self: Any, *args: Any, **options: Any) -> Any:
-        return (function if _plain(self) else steps)(self, *args, **options)
+        return (function if _needs_no_guard(self) else steps)(self, *args, **options)
 
     def steps(self: Any, *args: Any, **options: Any) -> Iterator[Any]:
-        """Yield what a generator of a plugin yields, each value checked, and its errors as its own.
+        """Yield the values of a plugin's generator, each checked; its errors become PluginFaults.
         """
         with blamed(self, name):
             iterator = iter(function(self, *args, **options))

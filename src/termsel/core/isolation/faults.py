@@ -43,7 +43,7 @@ def code_of(package: str) -> Iterator[None]:
 
 @contextmanager
 def own_code() -> Iterator[None]:
-    """Run a block of termsel's own that a plugin calls, and mark what it raises as termsel's."""
+    """Run a block of termsel's own that a plugin calls; errors of it are marked as termsel's."""
     caller = _package.get()
     token = _package.set(None)
     try:
@@ -91,7 +91,7 @@ class TooSlow(Exception):
 
 def within(seconds: float, call: Callable[[], T], *, soon: float = 0.0,
            tell: Callable[[], None] = lambda: None) -> T:
-    """Return what a call returns, which is made in a thread of its own; else raise TooSlow.
+    """Return the value of a call in a thread of its own; raise TooSlow after `seconds`.
 
     Ctrl-C ends the waiting. After `soon` seconds `tell` is called once.
     """
@@ -140,12 +140,15 @@ def package_of(definition: Any) -> str:
 
 
 def is_own(definition: Any) -> bool:
-    """Return True for what is defined in termsel itself."""
+    """Return True for a class, function or object that is defined in termsel itself."""
     return package_of(definition) == OWN
 
 
 def distribution_of(package: str) -> str:
-    """Return the distribution and version of a top-level module, as far as they are known."""
+    """Return the distribution and version of a top-level module, such as "termsel-demo 1.0".
+
+    "this session" for __main__; "the module NAME" if no distribution has it.
+    """
     if package in _packages:
         return _packages[package]
     for name in _distributions_by_module(tuple(sys.path)).get(package, ()):
@@ -163,7 +166,7 @@ def _distributions_by_module(_path: tuple[str, ...]) -> Mapping[str, list[str]]:
 
 
 def name_of(definition: Any) -> str:
-    """Return what a message calls a class, function or object: kind, name and distribution."""
+    """Return the name of a class, function or object in messages: kind, name and distribution."""
     cls = definition if isinstance(definition, type) else type(definition)
     declared_name = getattr(definition, "name", None)
     # An object of a class that declares no name is called by its class.
@@ -175,7 +178,8 @@ def name_of(definition: Any) -> str:
 
 
 def named_function(kind: str, function: Any) -> str:
-    """Return what a message calls a function by what it is of, such as "objective 'spread'"."""
+    """Return the name of a function in messages, such as "objective 'spread' of termsel-demo 1.0".
+    """
     return f"{kind} of {distribution_of(package_of(function))}"
 
 
@@ -225,7 +229,7 @@ def failed(error: BaseException, activity: str, package: str, hint: str = HINT) 
 
 
 def _innermost_line_of(trace: TracebackType | None, package: str) -> tuple[str | None, int | None]:
-    """Return the innermost line of the package's code in a traceback."""
+    """Return file and line of the package's innermost code in a traceback; None if it has none."""
     # From the outermost call inwards: the last one of the package is the innermost.
     location: tuple[str | None, int | None] = (None, None)
     while trace is not None:
@@ -237,7 +241,7 @@ def _innermost_line_of(trace: TracebackType | None, package: str) -> tuple[str |
 
 
 def _where_defined(definition: Any, method: str) -> tuple[str | None, int | None]:
-    """Return where a method is defined."""
+    """Return file and line where a method is defined; None for each that is not known."""
     function = getattr(definition if isinstance(definition, type) else type(definition), method,
                        definition)
     # Of a property its getter, of a cached one its function.

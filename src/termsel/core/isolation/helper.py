@@ -93,9 +93,9 @@ class Helper:
         self._asks = 0  # the process that has started the child
 
     def ask(self, question: Any, seconds: float | None = None) -> Any:
-        """Return the answer to a question. Raises ProcessEndedError where there is none.
+        """Return the answer to a question; raises ProcessEndedError without one.
 
-        A process that takes longer than so many seconds is ended.
+        A process that takes longer than `seconds` is ended.
         """
         with self._lock:
             if self._asks != os.getpid():  # after a fork the answers would go to either process
@@ -125,7 +125,7 @@ class Helper:
             return answer
 
     def end(self) -> None:
-        """End the process, if there is one."""
+        """End the process if it runs."""
         child = self._child
         self._child = None
         if child is not None:

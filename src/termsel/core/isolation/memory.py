@@ -53,7 +53,7 @@ def _free() -> float | None:
 
 
 def _free_memory_of_machine() -> float | None:
-    """Return the bytes of memory that are available to all processes, on Linux."""
+    """Return the bytes of memory available to all processes; None except on Linux."""
     try:
         lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
     except OSError:
@@ -63,7 +63,7 @@ def _free_memory_of_machine() -> float | None:
 
 
 def _memory_below_limit() -> float | None:
-    """Return what a limit of address space leaves, where there is one."""
+    """Return the bytes of address space below its limit; None without a limit."""
     if sys.platform == "win32":
         return None
     import resource

@@ -40,7 +40,7 @@ sources: list[Callable[[], Iterable[Part]]] = []
 
 
 def parts(slot: str) -> list[Any]:
-    """Return what packages give for a slot; empty where none is installed."""
+    """Return the values that packages give for a slot; [] if no installed package does."""
     values: list[Any] = []
     for source in sources:
         values += [extension.value for extension in source() if extension.slot == slot]
@@ -48,7 +48,10 @@ def parts(slot: str) -> list[Any]:
 
 
 def part(slot: str, purpose: str) -> Any:
-    """Return what a package gives for a slot; refuse where none does. `purpose` has its verb."""
+    """Return the value that a package gives for a slot, the first of several.
+
+    Raises TermselError if none does; `purpose` has its verb, such as "a certificate requires".
+    """
     # Of several the first: plugins are in the order in which they were loaded.
     if extensions := parts(slot):
         return extensions[0]
@@ -63,7 +66,8 @@ def missing(slot: str, purpose: str) -> TermselError:
 
 
 def lack_of(package: str) -> tuple[str, str]:
-    """Return why a package of termsel's own gives nothing, after "which", and the remedy."""
+    """Return why a package of termsel's own is not in use, a clause after "which", and the remedy.
+    """
     if is_left_out(package):
         return LEFT_OUT, "Unset that variable, or name the package in it."
     if _is_installed(package):
@@ -78,7 +82,7 @@ LEFT_OUT = f"is installed, but left out by the variable {PLUGINS_VARIABLE}"
 
 
 def is_left_out(package: str) -> bool:
-    """Return whether a package is installed, and not used since a variable leaves it out."""
+    """Return whether a package is installed, but left out by a variable of the environment."""
     chosen = chosen_packages()
     return bool(package) and chosen is not None and canonical(package) not in chosen \
         and _is_installed(package)
@@ -140,5 +144,5 @@ def own_packages() -> dict[str, list[str]]:
 
 
 def package_of_name(name: str) -> str:
-    """Return which package of termsel's own provides a name; nothing if none does."""
+    """Return the package of termsel's own that provides a name; "" if none does."""
     return next((package for package, names in own_packages().items() if name in names), "")

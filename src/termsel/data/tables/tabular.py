@@ -199,8 +199,8 @@ def as_attributes(attributes: Mapping[str, Iterable[Any]], n: int, *reserved: st
                   ) -> Attributes:
     """Return columns of n rows as features have them: stripped text that cannot be changed.
 
-    None, NaN and the like of pandas stand for what is not known; no column can have a name that is
-    `taken`. Raises TermselError for such a name or one used twice, or a column of another length.
+    None, NaN and the like of pandas stand for a value that is not known. Raises TermselError for a
+    column with a name of `reserved`, a name used twice, or another number of rows than n.
     """
     columns: dict[str, TextArray] = {}
     for name, values in attributes.items():

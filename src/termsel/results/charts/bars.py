@@ -88,7 +88,8 @@ def axis_end(view: View) -> float:
 
 
 def broken(view: View) -> str:
-    """Return what must be said of bars that are broken, and of those of rejected features."""
+    """Return a caption on bars with a break, and on those of rejected features; "" without either.
+    """
     sentences = []
     if np.isfinite(axis_end(view)):
         sentences.append(
@@ -157,7 +158,7 @@ def _rmse_of(rows: list[Row]) -> dict[str, float]:
 
 
 def unlike_others(view: View) -> str:
-    """Return what hollow symbols of the chart of all fits mean, and which fits it leaves out."""
+    """Return a caption on hollow symbols of the chart of all fits, and on fits left out; or ""."""
     rows, failed = shown_fits(view)
     sentences = []
     if any(row["note"] == "fitted" for row in rows):
@@ -169,7 +170,7 @@ def unlike_others(view: View) -> str:
 
 
 def candidate_bars(view: View) -> Any:
-    """Return the candidates of the strategy "auto" with the RMSE that leave-one-out predicts."""
+    """Return a chart of the strategy auto's candidates, with their leave-one-out RMSE."""
     alt = require_altair()
     strategy = view.record.strategy
     assert strategy is not None

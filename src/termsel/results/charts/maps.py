@@ -55,7 +55,7 @@ class Extent:
     scale: float
 
     def cuts(self, rows: list[Row], at: tuple[str, str], vector: tuple[str, str]) -> bool:
-        """Return whether the arrow of a row would leave the map."""
+        """Return whether the arrow of any row would leave the map."""
         for row in rows:
             for (low, high), position, component in zip((self.x, self.y), at, vector, strict=True):
                 if not low <= row[position] + self.scale * row[component] <= high:
@@ -64,7 +64,7 @@ class Extent:
 
 
 def image_extent(view: View) -> Extent:
-    """Return what the map of the image shows, with room for arrows of ordinary length."""
+    """Return the extent of the map of the image, with room for arrows of ordinary length."""
     top, left_sample, bottom, right_sample = view.image_box
     wide = max(right_sample - left_sample, 1.0)
     high = max(bottom - top, 1.0)
@@ -84,7 +84,7 @@ def image_extent(view: View) -> Extent:
 
 
 def ground_extent(view: View) -> Extent:
-    """Return what the map of the ground shows, with room for arrows of ordinary length."""
+    """Return the extent of the map of the ground, with room for arrows of ordinary length."""
     west, south, east, north = view.ground_box
     wide = max(east - west, 1e-9)
     tall = max(north - south, 1e-9)
@@ -114,13 +114,13 @@ def _reach(values: list[float], more: list[float]) -> tuple[float, float]:
 
 
 def cut_in_image(view: View) -> str:
-    """Return what is said of the arrows over the image."""
+    """Return a caption on arrows over the image that leave the map; "" if none do."""
     cuts = image_extent(view).cuts(view.in_image, ("sample", "line"), ("ds", "dl"))
     return _remark(view, cuts)
 
 
 def cut_on_ground(view: View) -> str:
-    """Return what is said of the arrows on the ground."""
+    """Return a caption on arrows on the ground that leave the map; "" if none do."""
     cuts = ground_extent(view).cuts(view.on_ground, ("x", "y"), ("dx", "dy"))
     return _remark(view, cuts)
 
@@ -280,7 +280,7 @@ def _arrows(view: View, rows: list[Row], x: Any, y: Any, vector: tuple[str, str]
             strokeDash=alt.condition("datum.drawn < 1", alt.value([5, 3]), alt.value([]))),
         base.mark_point(shape="wedge", filled=True, size=110, opacity=1,
                         aria=False).encode(
-            x=_of(x, "end_x"), y=_of(y, "end_y"), color=colour,
+            x=_with_field(x, "end_x"), y=_with_field(y, "end_y"), color=colour,
             angle=alt.Angle("turn:Q", scale=None)),
         base.transform_filter("datum.blunder").mark_point(
             size=230, filled=False, stroke=BLUNDER, strokeWidth=1.8, opacity=1,
@@ -322,12 +322,12 @@ def _bar(x0: float, y0: float, length: float, text: str, at_x: str, at_y: str, x
         base.mark_rule(strokeWidth=2.4, color=INK, aria=False).encode(x=x, y=y, x2="end:Q"),
         # The rim keeps the text apart from arrows below it.
         *(base.mark_text(align="left", dx=8, fontSize=11, aria=False, **look).encode(
-            x=_of(x, "end"), y=y, text="text:N")
+            x=_with_field(x, "end"), y=y, text="text:N")
           for look in ({"color": GROUND, "stroke": GROUND, "strokeWidth": 4}, {"color": INK})))
 
 
 def _axes(view: View) -> tuple[str, str]:
-    """Return the names of the axes on the ground, with their unit as far as it is known."""
+    """Return the names of both axes on the ground, with their unit if it is known."""
     crs = view.record.data.crs
     unit = view.units_per_metre
     if is_geographic(crs):
@@ -336,8 +336,8 @@ def _axes(view: View) -> tuple[str, str]:
     return f"x{of}, {short(crs)}", f"y{of}"
 
 
-def _of(channel: Any, field: str) -> Any:
-    """Return the same axis for another field."""
+def _with_field(channel: Any, field: str) -> Any:
+    """Return a copy of an axis that shows another field."""
     channel_of_field = channel.copy()
     channel_of_field.shorthand = f"{field}:Q"
     return channel_of_field

@@ -93,7 +93,7 @@ def _mark_recommended(view: View) -> int:
 
 
 def convergence(view: View) -> Any:
-    """Return the best and the median of the population, and what share of it is infeasible."""
+    """Return a chart of the population's best and median, and of its infeasible share."""
     alt = require_altair()
     history = spaced(view.record.history, MAX_GENERATIONS_SHOWN)
     criterion = view.record.criterion

@@ -111,7 +111,7 @@ def frequency_rows(view: View) -> list[Row]:
 
 
 def no_frequencies(view: View) -> str:
-    """Return why a result says nothing of how often terms are selected; "" if it does."""
+    """Return why a result does not show how often terms are selected; "" if it does."""
     if view.record.stability:
         return ""
     # The same terms in all members would be bars of full length that say nothing.

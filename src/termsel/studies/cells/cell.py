@@ -200,7 +200,7 @@ class _Kinds:
 
     def _check_kind(self, strategy: str, specs: Mapping[str, PartSpec | None],
                     data: list[Data]) -> _Kind:
-        """Return what all cells of a kind have in common, checked on the first data that fit."""
+        """Return the values that all cells of a kind share, checked on the first data that fit."""
         spec = self._spec
         first = None
         measures = _measures_of(spec)
@@ -216,7 +216,7 @@ class _Kinds:
                          for role in ("recipe", "model", "criterion", "solver", "then")}
             if strategy == "auto":
                 checksums["methods"] = made_of(
-                    list(auto_of(_given(specs.get("method"))).methods))
+                    list(auto_of(_thing_or_name(specs.get("method"))).methods))
             # The code of a measure is part of what the column says.
             if measures:
                 checksums["measures"] = made_of([measure.compute for measure in measures])
@@ -264,11 +264,11 @@ class _Kinds:
             raise self._locate_fault(specs, error) from error
 
     def _require_method(self, method: PartSpec | None) -> None:
-        """Refuse a name that no method has, or what is none."""
+        """Raise TermselError, with the place in the study, for a method that does not exist."""
         if method is None:
             return
         try:
-            auto_of(_given(method))
+            auto_of(_thing_or_name(method))
         except TermselError as error:
             raise self._spec.places.error(method.path, error.what, error.hint) from error
 
@@ -337,14 +337,14 @@ def _without_certificate(request: Request) -> Request:
     return request
 
 
-def _given(method: PartSpec | None) -> Any:
-    """Return the method that a study names or gives; None for the automatic choice."""
+def _thing_or_name(method: PartSpec | None) -> Any:
+    """Return the method of a study, by itself or by name; None for the automatic choice."""
     return None if method is None else method.thing or method.name
 
 
 def _cell(spec: Spec, strategy: str, specs: Mapping[str, PartSpec | None], kind: _Kind, data: Data,
           split: int, seed: int) -> Cell:
-    """Return a cell: its labels, what is called, and the key of all that decides its result."""
+    """Return a cell: its labels, its call, and the key by which the journal finds it."""
     problem = specs["problem"]
     # What tables call the cell; of auto the method is not known before it has run.
     labels = {

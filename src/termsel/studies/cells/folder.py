@@ -25,7 +25,7 @@ PLAN = "plan.json"
 
 
 def write_plan(spec: Spec, cells: Sequence[Cell], workers: int, folder: Path) -> None:
-    """Write what was asked for, and what cells that makes, into the folder of a study."""
+    """Write the request of a study, and its cells by key, to the plan in its folder."""
     # Objects that Python gave are in `spec` by their names, features not at all.
     write_text(folder / PLAN, json.dumps(
         {"study": table_of(spec), "data": {cell.data.label: cell.data.key for cell in cells},
@@ -33,7 +33,10 @@ def write_plan(spec: Spec, cells: Sequence[Cell], workers: int, folder: Path) ->
 
 
 def _read_plan(folder: Path) -> tuple[Spec, int, dict[str, dict[str, Any]]]:
-    """Return what was asked for, workers, and labels of all cells by key; refuse damage."""
+    """Return the spec of a study, its number of workers, and the labels of all cells by key.
+
+    Raises TermselError if there is no plan, or it is damaged.
+    """
     file = inside(folder, PLAN)
     repeat = "Repeat the command that began the study."
     if not file.is_file():
@@ -99,18 +102,18 @@ def read_study(folder: Path | str) -> Study:
 
 
 def status(folder: Path) -> tuple[StudyProgress, str | None]:
-    """Return how far the study of a folder is, and who is at work on it, if anybody is."""
+    """Return the progress of the study of a folder, and who is at work on it; None if nobody is."""
     study = read_study(folder)
     workers = _read_plan(folder)[1]
     return Tally(study.cells, workers, study.records).progress(), holder(folder)
 
 
 def table_of(spec: Spec) -> dict[str, Any]:
-    """Return what a study asks for as its file would say it; `spec_of` is the inverse."""
+    """Return a spec as the table of a study's file; `spec_of` is the inverse."""
     table = {
         "title": spec.title, **{kind: list(map(_named, getattr(spec, kind))) for kind in PARTS},
         "strategies": spec.strategies,
-        "data": [_written(source) for source in spec.data if not source.features],
+        "data": [_table_of_source(source) for source in spec.data if not source.features],
         "seeds": spec.seeds, "splits": spec.splits, "budget": spec.budget, "options": spec.options,
         "exports": spec.exports, "measure": spec.measure,
         "measures": spec.measures, "accept": spec.accept and str(spec.accept)}
@@ -122,7 +125,7 @@ def _named(component: PartSpec) -> dict[str, Any]:
     return {"name": component.name, "label": component.label, **component.options}
 
 
-def _written(source: Source) -> dict[str, Any]:
+def _table_of_source(source: Source) -> dict[str, Any]:
     """Return a source of data as a study's file states it."""
     if source.dataset is not None:
         return {"dataset": source.dataset}

@@ -38,7 +38,7 @@ def made_of(value: Any) -> str:
 
 
 def _words(value: Any, above: set[int]) -> Iterator[str]:
-    """Yield what distinguishes a value from others; no address, which other processes have not."""
+    """Yield the words that distinguish a value from others, the same in every process."""
     if isinstance(value, _PLAIN):
         yield f"{type(value).__name__} {value!r}"
         return
@@ -57,7 +57,7 @@ def _words(value: Any, above: set[int]) -> Iterator[str]:
 
 
 def _parts_of_value(value: Any) -> Iterator[Any]:
-    """Yield what a value consists of."""
+    """Yield the values that a value consists of, in an order that lasts."""
     if isinstance(value, Mapping):
         # Sets and mappings have no order that lasts.
         yield from sorted(value.items(), key=str)
@@ -96,7 +96,7 @@ def _plain(attributes: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _parts_of_class(kind: type) -> Iterator[Any]:
-    """Yield what decides what a class does: its code and that of its bases."""
+    """Yield the parts that decide what a class does: its code and that of its bases."""
     # A class does what its bases do, so their code counts as well.
     for base in kind.__mro__:
         yield f"{base.__module__}.{base.__qualname__}"
@@ -108,7 +108,7 @@ def _parts_of_class(kind: type) -> Iterator[Any]:
 
 
 def _parts_of_function(function: FunctionType) -> Iterator[Any]:
-    """Yield what decides what a function does: code, defaults, and what it has enclosed."""
+    """Yield the parts that decide what a function does: code, defaults and enclosed values."""
     yield f"{function.__module__}.{function.__qualname__}"
     for cell in function.__closure__ or ():
         try:

@@ -57,13 +57,13 @@ def independent_rmse(row: Row) -> str:
 
 
 def metres(row: Row) -> str:
-    """Return the RMSE on the ground: predicted, or else of independent check points."""
+    """Return the RMSE on the ground [m], predicted, else of check points; "" if not known."""
     size = row["independent_m"] if row["predicted_m"] is None else row["predicted_m"]
     return "" if size is None else rounded(size)
 
 
 def count_of_verdicts(rows: Sequence[Row]) -> str:
-    """Return how many images there are, and how many have which verdict."""
+    """Return a clause on how many images there are, and how many have each verdict."""
     verdicts = Counter(row["verdict"] for row in rows if row["verdict"])
     counts = ", ".join(f"{verdicts[verdict]} {verdict}" for verdict in VERDICTS
                        if verdicts[verdict])

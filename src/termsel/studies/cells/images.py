@@ -43,9 +43,9 @@ def folders_of(labels: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
 
 
 def _images_of(data: Collection[str]) -> dict[str, str]:
-    """Return the name of the image of each data: that of its file, without folders and suffix.
+    """Return the name of each data's image: that of its file, without folders and suffix.
 
-    Or all of the data's name, where two would have the same.
+    Where two would have the same name, it is the whole label of the data.
     """
     whole = {label: file_word(label, "image") for label in data}
     short = {label: file_word(_stem(label), "image") for label in data}
@@ -63,7 +63,7 @@ def _stem(label: str) -> str:
 
 
 def file_word(text: str, empty: str) -> str:
-    """Return a text as part of a file name; `empty` where nothing of it can be."""
+    """Return a text as part of a file name; `empty` if no character of it can be in one."""
     return re.sub(r"[^\w.+-]+", "_", text).strip("._") or empty
 
 

@@ -135,7 +135,7 @@ class Journal:
             self._write({"schema": SCHEMA, "versions": self.versions})
 
     def append(self, record: CellRecord) -> None:
-        """Add the record of a cell; where the disk does not take it, the journal is as it was."""
+        """Add the record of a cell; if the disk refuses it, the journal stays as it was."""
         self._write(plain(record))
         self.records[record.cell] = record
 

@@ -66,7 +66,7 @@ def setting_of(features: FeatureSet) -> dict[str, Any]:
 
 
 def batch_of(settings: Mapping[str, Mapping[str, Any]]) -> Batch:
-    """Return what images say of each other, given the setting of each by its name."""
+    """Return the sentences and doubts that images raise about each other, by their settings."""
     sentences: list[str] = []
     doubts: dict[str, list[str]] = {}
     for sentence, images in (*_elsewhere(settings), *_note_on_mirrored(settings)):
@@ -90,7 +90,7 @@ def _elsewhere(settings: Mapping[str, Mapping[str, Any]]) -> list[tuple[str, dic
     if len(positions) > PLACES:
         return []
     # Great-circle angles, so that poles and the 180 degree meridian need no care.
-    distances = _apart(positions, positions)
+    distances = _angles(positions, positions)
     reach = _reach(distances)
     groups = _groups(distances <= reach)
     # The group with most images, if it has most of the batch.
@@ -117,21 +117,24 @@ def _elsewhere(settings: Mapping[str, Mapping[str, Any]]) -> list[tuple[str, dic
 
 
 def _guess(setting: Mapping[str, Any], group: FloatArray, reach: float) -> str:
-    """Return what may be wrong with the coordinates of an image far from a group."""
+    """Return a question on the likely fault in the coordinates of an image far from a group."""
     lon, lat = setting["place"]
     exchanged = setting.get("exchanged")
-    if exchanged and _apart(np.array([exchanged]), group).min() <= reach:
+    if exchanged and _angles(np.array([exchanged]), group).min() <= reach:
         return "are x and y swapped?"
     # Where a sign of longitude, latitude or both would put the image.
     turned = np.array([[-lon, lat], [lon, -lat], [-lon, -lat]])
-    if (_apart(turned, group).min(axis=1) <= reach).any():
+    if (_angles(turned, group).min(axis=1) <= reach).any():
         return "is a sign wrong?"
     return ELSEWHERE
 
 
 def _note_on_mirrored(settings: Mapping[str, Mapping[str, Any]]) -> list[tuple[str,
                                                                                dict[str, str]]]:
-    """Return a sentence on images that are mirrored where most are not, or the other way round."""
+    """Return a sentence on images that are mirrored where most are not, or the reverse.
+
+    With it comes the doubt about each of them; [] where no clear majority is one or the other.
+    """
     is_mirrored_image = {name: bool(setting["mirrored"]) for name, setting in settings.items()
                          if setting.get("mirrored") is not None}
     # What more than half of the images are.
@@ -150,8 +153,8 @@ def _note_on_mirrored(settings: Mapping[str, Mapping[str, Any]]) -> list[tuple[s
              dict.fromkeys(odd, doubt))]
 
 
-def _apart(first_positions: FloatArray, second_positions: FloatArray) -> FloatArray:
-    """Return the angles between places [deg], shape (n, m), from longitudes and latitudes."""
+def _angles(first_positions: FloatArray, second_positions: FloatArray) -> FloatArray:
+    """Return the angles [deg], (n, m), between places (n, 2) and (m, 2), longitude and latitude."""
     first = _directions(first_positions)
     second = _directions(second_positions)
     # angle = 2 arcsin(chord / 2) of unit vectors, exact for small angles.

@@ -89,7 +89,7 @@ def rows_of(cells: Mapping[str, Mapping[str, Any]], records: Mapping[str, CellRe
 
 def batch_of_records(cells: Mapping[str, Mapping[str, Any]],
                      records: Mapping[str, CellRecord]) -> Batch:
-    """Return what the images of finished cells say of each other."""
+    """Return the sentences and doubts that images of finished cells raise about each other."""
     return batch_of({str(labels["data"]): records[key].figures for key, labels in cells.items()
                      if key in records})
 
@@ -99,7 +99,7 @@ def _sentence(doubt: str | None) -> list[str]:
 
 
 def _badness(row: Row) -> tuple[int, int, float]:
-    """Return what sorts images worst first: by verdict, those without figures, then by RMSE."""
+    """Return a sort key for images, worst first: verdict, those without figures, then RMSE."""
     # The predicted RMSE is of every image; the measured one of few.
     figure = row["predicted"] if row["predicted"] is not None else row["independent"]
     # Cells that are not finished have no verdict yet, and come first.
@@ -136,7 +136,7 @@ def with_notes_once(rows: Sequence[Row]) -> list[Row]:
 
 
 def csv_of(rows: Sequence[Row], columns: Sequence[str]) -> str:
-    """Return rows as CSV; lists have semicolons, and what is not known is blank."""
+    """Return rows as CSV; lists have semicolons, and a value that is not known is blank."""
     lines: list[Sequence[Any]] = [columns]
     for row in rows:
         lines.append([_cell(_readable(row[name]) if name in _IN_SIX_DIGITS else row[name])
@@ -145,7 +145,7 @@ def csv_of(rows: Sequence[Row], columns: Sequence[str]) -> str:
 
 
 def _readable(value: Any) -> Any:
-    """Return a figure to six digits, and 0 for what is rounding alone."""
+    """Return a figure to six digits, 0 for mere rounding; other values as they are."""
     if not isinstance(value, float) or not math.isfinite(value):
         return value
     return 0.0 if abs(value) < _ROUNDING else float(f"{value:.6g}")

@@ -47,7 +47,7 @@ class Accept:
 
     @classmethod
     def of(cls, text: str) -> Accept:
-        """Return what a text such as "5m" or "2px" asks for.
+        """Return the accuracy that a text such as "5m" or "2px" asks for.
 
         Raises
         ------
@@ -152,7 +152,7 @@ def _interval(row: Mapping[str, Any], unit: str) -> tuple[float, float, float] |
 
 
 def _contradictions(row: Mapping[str, Any], usual: float) -> list[str]:
-    """Return what makes the figures of an image doubtful."""
+    """Return clauses on why the figures of an image are doubtful; [] if they are not."""
     said = []
     if row["doubt"]:
         said.append(str(row["doubt"]).rstrip("."))

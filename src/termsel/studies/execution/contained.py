@@ -70,7 +70,7 @@ def work() -> None:
 
 
 def _receive(source: IO[bytes], waiting: SimpleQueue[bytes]) -> None:
-    """Put what comes into a queue; end this process when that of the study is gone."""
+    """Put each object that comes into a queue; end this process when the study's is gone."""
     try:
         while True:
             waiting.put(pickle.load(source))

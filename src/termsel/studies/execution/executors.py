@@ -31,7 +31,10 @@ DIED = "the process of this run ended: out of memory, killed, or a fault of comp
 
 @contextmanager
 def deferred(say: Callable[[], None]) -> Iterator[Stop]:
-    """Yield what shows whether Ctrl-C was pressed, and calls `say`; a second one interrupts."""
+    """Yield a function that shows whether Ctrl-C was pressed; the first one calls `say`.
+
+    A second Ctrl-C interrupts.
+    """
     pressed = False
 
     def note(_number: int, _frame: FrameType | None) -> None:
@@ -110,7 +113,7 @@ _features: Mapping[str, FeatureSet] = {}
 
 
 def begin_worker(features: Mapping[str, FeatureSet]) -> None:
-    """Make a new process ready: the features of the study, and no answer to Ctrl-C of its own."""
+    """Make a new process ready: it gets the features of the study, and ignores Ctrl-C."""
     global _features
     _features = features
     claim_process()  # no driver of GDAL but termsel's, as on the command line

@@ -16,7 +16,7 @@ _MARKS = ("Warning: ", "Note: ")
 
 @contextmanager
 def named(image: str) -> Iterator[list[str]]:
-    """Put the name of an image into what is logged meanwhile; yield a list of these warnings.
+    """Put the name of an image into messages of the log; yield a list of its warnings.
 
     There they are as logged, without mark and name.
     """
@@ -54,7 +54,7 @@ class _Keeper(logging.Handler):
 
 @cache
 def _name_images() -> None:
-    """Put the name of the image under way into what is logged from now on."""
+    """Put the name of the image at work into messages of the log from now on."""
     # The factory that others may have set is called first.
     before = logging.getLogRecordFactory()
 

@@ -24,7 +24,7 @@ class StudyProgress:
 
     @property
     def finished(self) -> int:
-        """Cells that are finished, in whatever state."""
+        """The number of cells that are finished, in whatever state."""
         return self.total - self.states.get(WAITING, 0)
 
     def time_left(self) -> str:
@@ -93,7 +93,10 @@ class Tally:
                              self._seconds_left(), self._worst[1])
 
     def _seconds_left(self) -> float | None:
-        """Return the time of what is left: of each kind by its own mean, or by that of all."""
+        """Return the time of cells yet to run [s], of each kind by its own mean, or by that of all.
+
+        None before any cell is finished.
+        """
         means = {kind: total / count for kind, (count, total) in self._times.items()}
         if not means:
             return None

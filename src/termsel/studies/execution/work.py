@@ -78,12 +78,12 @@ MEMORY = Memory()
 def do(cell: Cell, features: FeatureSet) -> Outcome:
     """Run a cell, and return its outcome; where the run fails, with the reason."""
     with named(cell.data.source):
-        outcome, reason = attempt(partial(_done, cell, features))
+        outcome, reason = attempt(partial(_outcome, cell, features))
     return outcome if outcome is not None else failed(cell.key, str(reason), features)
 
 
-def _done(cell: Cell, features: FeatureSet) -> Outcome:
-    """Return the outcome of a cell, which may be why there is none."""
+def _outcome(cell: Cell, features: FeatureSet) -> Outcome:
+    """Return the outcome of a cell, or why there is none."""
     trace = _Trace(cell.call.get("timeout"))
     try:
         state, figures, front, files = (_auto if cell.call["strategy"] == "auto"
@@ -148,7 +148,7 @@ class _Trace:
 
 def _search_as_asked(cell: Cell, features: FeatureSet, trace: _Trace) -> tuple[
         State, dict[str, Any], list[list[float]], dict[str, bytes]]:
-    """Return state, figures and front of a search."""
+    """Return state, figures, front and files of a cell's search."""
     call = cell.call
     names = {role: cell.things.get(role, call[role])
              for role in ("problem", "model", "criterion", "solver") if call[role] is not None}
@@ -200,7 +200,7 @@ def _member(task: Task, genes: BoolArray) -> list[float]:
 
 
 def _rmse(by_role: Mapping[str, Rmse | None]) -> dict[str, float | int | None]:
-    """Return RMSE [px] by role, and the number of points of each."""
+    """Return RMSE [px] by role, None where a role has none, and the number of points of each."""
     return {**{role: None if rmse is None else finite_or_none(rmse.total)
                for role, rmse in by_role.items()},
             **{f"n_{role}": 0 if rmse is None else rmse.n for role, rmse in by_role.items()}}
@@ -218,7 +218,7 @@ def _proven(task: Task, search: SearchResult) -> bool:
 
 
 def _optimum(cell: Cell, task: Task, search: SearchResult) -> float | None:
-    """Return the proven optimum of the problem, if that is known quickly."""
+    """Return the proven optimum of the problem; None if it is not known quickly."""
     value = float(search.objectives[0])
     if _proven(task, search):
         return value
@@ -264,7 +264,7 @@ def _auto(cell: Cell, features: FeatureSet, trace: _Trace) -> tuple[
 
 
 def _measures(cell: Cell, result: Result, notes: list[str]) -> dict[str, float | None]:
-    """Return the measures of a result that the study asks for; add a note for each that fails."""
+    """Return the measures of a result by name, None for one that fails, which adds a note."""
     values: dict[str, float | None] = {}
     for name in cell.call["measures"]:
         try:

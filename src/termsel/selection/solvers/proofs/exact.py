@@ -177,7 +177,7 @@ def _certifier(problem: Problem, max_terms: int | None) -> Callable[[Genes], dic
 
 def _require_unbeaten(problem: Problem, proof: Proof, generation: Generation,
                       max_terms: int | None) -> None:
-    """Refuse a proof that an evaluation contradicts.
+    """Raise TermselError for a proof that an evaluation contradicts.
 
     The enumeration decides by the criterion's `subset_score` and `subset_cost`, and a plugin's may
     not agree with its `score`. The best selection of every size and all neighbours of the optimum
