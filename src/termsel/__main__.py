@@ -97,7 +97,7 @@ def _module_of(thread: Thread) -> str:
 
 
 def prepare_process() -> None:
-    """Set what holds for the whole process, and for those that it starts."""
+    """Set memory, variables, warnings and streams of this process and those that it starts."""
     from termsel.core.files.drivers import claim_process
 
     gc.set_threshold(ALLOCATIONS)

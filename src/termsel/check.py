@@ -269,7 +269,10 @@ class Axis:
         return counts[0], counts[1], counts[2]
 
     def _step(self, node: Node, counts: list[int], step: Any, *values: Any) -> list[Node]:
-        """Check one step, count the selections that it decides, and return the nodes it leaves."""
+        """Check one step, count the selections that it decides, and return the remaining nodes.
+
+        Raises Refused if the step proves nothing.
+        """
         # How many more columns a selection of this node can have, and how many such selections
         # there are.
         room = min(self.room - len(node.used), len(node.rest))
@@ -308,7 +311,7 @@ class Axis:
         return node
 
     def halves(self, node: Node, j: int) -> list[Node]:
-        """Return the selections without an open column and, if there is room, those that use it."""
+        """Return the node without an open column and, if there is room, the node that uses it."""
         if type(j) is not int or j not in node.rest:
             raise Refused("a split is by a term that is not open")
         # Without the column its row and its column of the lower half go.

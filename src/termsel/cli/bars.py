@@ -26,7 +26,7 @@ _BETWEEN = 0.2  # seconds between two lines
 
 @contextmanager
 def search_bar(title: str, quiet: bool) -> Iterator[Callable[[Progress], None] | None]:
-    """Yield an observer that shows how far a run is, or None where nobody would see it."""
+    """Yield an observer that shows the progress of a run; None where nobody would see it."""
     with _bar(title, quiet) as renew:
         def observe(progress: Progress) -> None:
             # A population without a feasible member has a best value that means nothing.
@@ -61,7 +61,7 @@ def share_bar(title: str, quiet: bool) -> Iterator[Callable[[float], None] | Non
 
 @contextmanager
 def study_bar(quiet: bool) -> Iterator[Callable[[StudyProgress], None] | None]:
-    """Yield an observer that shows how far a study is, or None where nobody would see it."""
+    """Yield an observer that shows the progress of a study; None where nobody would see it."""
     with _bar("runs", quiet, remaining=False) as renew:
         def observe(progress: StudyProgress) -> None:
             worst = f"; worst {printable(progress.worst)}" if progress.worst else ""
@@ -75,7 +75,10 @@ def study_bar(quiet: bool) -> Iterator[Callable[[StudyProgress], None] | None]:
 @contextmanager
 def _bar(title: str, quiet: bool, *, total: float | None = None, remaining: bool = True,
          ) -> Iterator[Callable[..., None] | None]:
-    """Yield what renews a bar that leaves no trace; what is printed meanwhile appears above it."""
+    """Yield a function that renews a bar, which disappears at the end; None without one.
+
+    Text printed meanwhile appears above it.
+    """
     context = click.get_current_context(silent=True)
     if context is not None and context.meta.get(PROGRESS) == "json" and not quiet:
         # Programs read stderr through a pipe, which is no terminal.
@@ -104,7 +107,7 @@ def _bar(title: str, quiet: bool, *, total: float | None = None, remaining: bool
 
 
 def _json_printer(title: str, total: float | None) -> Callable[..., None]:
-    """Return what prints the share that is done as lines of JSON, at most five a second."""
+    """Return a function that prints progress as lines of JSON, at most five a second."""
     printed = -math.inf
 
     def renew(*, completed: float, total: float | None = total, description: str = title,

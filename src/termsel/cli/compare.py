@@ -147,7 +147,10 @@ def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: 
 
 def _study_asked_for(files: tuple[Path, ...], options: dict[str, Any]) -> tuple[Path | None,
                                                                                 dict[str, Any]]:
-    """Return the study file, or what the options say, as the keys of one."""
+    """Return the study file and {}, or None and the options as the keys of a study.
+
+    Raises TermselError if both or neither are given.
+    """
     keys = _keys_of(options)
     points = options["points"]
     if points:  # the shell has written out --points *.csv
@@ -221,7 +224,7 @@ def _keys_of(options: dict[str, Any]) -> dict[str, Any]:
 
 
 def _show_status(folder: Path) -> None:
-    """Print how far the study in a folder is, and who is at work on it."""
+    """Print the progress of the study in a folder, and who is at work on it."""
     from termsel.studies.cells.folder import status
 
     progress, holder = status(folder)
@@ -238,7 +241,7 @@ MOST_LISTED = 100
 
 
 def _list_files(study: Path | None, keys: dict[str, Any]) -> None:
-    """List what a study would read, before anything of it is read: it may be somebody else's."""
+    """Print the files that a study would read, before any is: the study may be a stranger's."""
     from termsel.studies.compare import asked
     from termsel.studies.plan.data import files_of
 

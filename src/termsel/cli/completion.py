@@ -44,7 +44,7 @@ def complete(*kinds: str) -> Completer:
     def items(
         context: click.Context, parameter: click.Parameter, incomplete: str  # noqa: ARG001
     ) -> list[CompletionItem]:
-        """Return the names of things that begin with what is typed, with their summaries."""
+        """Return the names that begin with the text typed so far, with their summaries."""
         from termsel.plugins.kinds import KINDS
         from termsel.plugins.registry import registry
 

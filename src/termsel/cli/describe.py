@@ -60,7 +60,7 @@ def describe(name: str) -> None:
 
 
 def _unknown(name: str, known_names: Iterable[str], hint: str) -> TermselError:
-    """Return the error for a name that nothing has; of all names only near ones are said."""
+    """Return the error for an unknown name; it shows near names alone, or where to look."""
     from termsel.plugins.kinds import KINDS
 
     error = unknown_name("name", name, known_names, hint)
@@ -113,6 +113,7 @@ def _lead(kind: str, entry: Entry) -> None:
 
 
 def _describe_data() -> None:
+    """Print the options of the data, then those of reading files."""
     from termsel.io.read import read_options
     from termsel.runs.request import DATA_OPTIONS
 
@@ -144,7 +145,7 @@ def _describe_problem(entry: Entry) -> None:
 
 
 def _options_of_prepared_problem(recipe: Recipe) -> list[Option]:
-    """Return the options that the problem of a recipe has by what it is, as its data show."""
+    """Return the options of a recipe's problem that depend on its data; [] if it has none."""
     from termsel.runs.task import prepare
     from termsel.selection.problems.recipes import options_of, undeclared_options
 
@@ -162,7 +163,7 @@ def _settings(options: Mapping[str, Any]) -> str:
 
 
 def _describe_model(entry: Entry) -> None:
-    """Print what a model needs, its options and its terms."""
+    """Print the needs of a model, its options and its terms."""
     _document(entry)
     _pairs({"heights": "required" if entry.object.uses_height else "not used"})
     _options(entry.object.declared_options)
@@ -177,7 +178,7 @@ def _describe_model(entry: Entry) -> None:
 
 
 def _describe_solver(entry: Entry) -> None:
-    """Print what a solver can do, its options, and how it departs from its paper."""
+    """Print the abilities of a solver, its options, and how it departs from its paper."""
     _document(entry)
     from termsel.selection.solvers.budget import EVALUATIONS, SEARCH_OPTIONS
 
@@ -203,7 +204,7 @@ def _describe_criterion(entry: Entry) -> None:
 
 
 def _describe_function(entry: Entry) -> None:
-    """Print what a thing made of one function does, and how it is asked for."""
+    """Print the description of a thing made of one function, and how to ask for it."""
     declared = entry.object
     (made_by, use) = _FUNCTIONS[type(entry.object).__name__]
     # The docstring's first line says what the function returns; the summary says what that is.
@@ -300,7 +301,7 @@ def _option_table(options: Iterable[Option]) -> None:
 
 
 def _accepted_values(option: Option) -> str:
-    """Return what an option accepts, and what of it no study, block or result may give."""
+    """Return the values that an option accepts, and which of them files may not give."""
     return f"{option.accepts} ({option.limits_files})" if option.limits_files else option.accepts
 
 

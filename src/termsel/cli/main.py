@@ -65,7 +65,7 @@ class Commands(click.Group):
     def get_command(
         self, ctx: click.Context, cmd_name: str
     ) -> click.Command | None:
-        """Return a command; that of a broken plugin shows why it is broken."""
+        """Return a command, None without one; that of a broken plugin shows why it is broken."""
         if cmd_name in COMMANDS:
             # Imported by name, so that one command does not load what others need.
             module, _, attribute = COMMANDS[cmd_name][0].partition(":")
@@ -80,7 +80,10 @@ class Commands(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Return name, command and remaining arguments; refuse an unknown command."""
+        """Return name, command and remaining arguments.
+
+        Raises TermselError for an unknown command.
+        """
         command = self.get_command(ctx, args[0])
         if command is None and not ctx.resilient_parsing:
             from termsel.plugins.registry import registry
@@ -149,7 +152,7 @@ class Commands(click.Group):
 
     def _end_with_code(self, args: Sequence[str] | None, prog_name: str | None,
                        complete_var: str | None, **extra: Any) -> NoReturn:
-        """Run a command, print what went wrong with it, and end with the code that says so."""
+        """Run a command, print its errors, and end with its exit code."""
         try:
             try:
                 value = super().main(args, prog_name, complete_var, False, **extra)
@@ -173,7 +176,7 @@ class Commands(click.Group):
         sys.exit(value if isinstance(value, int) else 0)
 
     def _context_of(self, words: Sequence[str]) -> click.Context | None:
-        """Return the context of the command that words begin with: click's parser knows none."""
+        """Return the context of the command that words begin with; None if they begin with none."""
         parent = click.Context(self, info_name="termsel")
         command = self.get_command(parent, words[0]) if words else None
         return None if command is None else click.Context(command, parent=parent,
@@ -187,7 +190,7 @@ def _too_large(error: MemoryError) -> TermselError:
 
 
 def _suggested_commands(words: Sequence[str], error: TermselError) -> Iterator[str]:
-    """Yield the commands that an error suggests; only what is certain is ready to run."""
+    """Yield the commands that an error suggests, each with a label such as "Ready to run"."""
     # Where one of several readings of a table is right, each has its command.
     guesses = error.guesses or [error.options.get("--columns", "")]
     for number, columns in enumerate(guesses, 1):
@@ -218,7 +221,7 @@ def _words_without_options(words: Sequence[str], options: Mapping[str, str]) -> 
 
 
 def _refuse_repeated(command: click.Command, words: list[str]) -> None:
-    """Refuse an option of one value that is given twice: click would drop the first in silence."""
+    """Raise UsageError for an option of one value given twice: click drops the first silently."""
     # The parser is that of click, so that abbreviations and clusters of flags count alike.
     parser = command.make_parser(click.Context(command, resilient_parsing=True))
     try:
@@ -232,7 +235,10 @@ def _refuse_repeated(command: click.Command, words: list[str]) -> None:
 
 
 def _printing_alone(command: click.Command) -> click.Command:
-    """Return a built-in command while which nothing else prints on stdout; its help page may."""
+    """Return a built-in command during which nothing else prints on stdout.
+
+    Its help page may print as it likes.
+    """
     invoke = command.invoke
     # A copy, as the command object is shared by all calls in this process.
     command = copy(command)

@@ -18,7 +18,7 @@ _results: TextIO | None = None
 
 
 def take_stdout() -> None:
-    """Keep stdout for `echo`: what else prints, such as a plugin, prints on stderr from here on."""
+    """Keep stdout for `echo`: all else, such as a plugin, prints on stderr from here on."""
     # Once for a command and not for each call into a plugin, as other threads may be printing.
     global _results
     if _results is None:
@@ -40,7 +40,7 @@ def stdout() -> TextIO:
 
 
 def echo(text: str = "", *, err: bool = False, nl: bool = True) -> None:
-    """Print text, printable whatever names and files brought, and a line end (`nl`)."""
+    """Print text, made printable, with a line end unless `nl` is False."""
     # If stderr cannot be written, as on a full disk, the command goes on.
     # stdout is not excused: who asks for a result must learn that it was not written.
     with suppress(OSError) if err else nullcontext():
@@ -58,7 +58,10 @@ def stdout_has(text: str) -> bool:
 
 
 def echo_table(text: str) -> None:
-    """Print a table for other programs, as it is; refuse characters that stdout has not."""
+    """Print a table for other programs, unchanged.
+
+    Raises TermselError if the encoding of stdout lacks one of its characters.
+    """
     if not stdout_has(text):
         raise TermselError(f"the encoding of stdout, {stdout().encoding}, does not have all "
                            "characters of the table",

@@ -51,7 +51,7 @@ IMAGE_NAME = Option("image_name", None, "Name of the image, for files with sever
 
 
 def _answer_fault(_checked_object: Configurable, value: Any, *_args: Any) -> str | None:
-    """Return what is wrong with a yes or no, if anything."""
+    """Return how a yes or no is at fault; None if it is True or False."""
     # Plugins answer, and a truth value of another kind, such as a match, would pass as True.
     return None if isinstance(value, bool | np.bool_) else \
         f"returned {value!r:.100}; expected True or False"
@@ -295,7 +295,10 @@ def read_text(path: Path) -> str:
 
 
 def read_data(path: Path) -> bytes:
-    """Return what a file holds; raises TermselError if it is no regular file or cannot be read."""
+    """Return the content of a file.
+
+    Raises TermselError if it is no regular file, too large, or cannot be read.
+    """
     refuse_pipe(path)
     try:
         # Before it is read: a sparse file may claim more than there is memory.
@@ -329,7 +332,11 @@ def parse_json(text: str, hint: str) -> Any:
 
 
 def read_head(path: Path, expected: str) -> bytes:
-    """Return the first 64 KiB of a file; `expected` is a sentence that says what it should be."""
+    """Return the first 64 KiB of a file.
+
+    Raises TermselError if it is a folder, empty or cannot be read; `expected` is a sentence on what
+    it should be.
+    """
     if is_there(path) and path.is_dir():
         raise TermselError("this is a folder, expected a file", file=path,
                            hint=f"{expected} Of many images, a file each: termsel compare "

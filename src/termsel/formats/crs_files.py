@@ -36,7 +36,7 @@ def stated_crs(stated: str | None) -> str | None:
 
 
 def crs_next_to(path: Path) -> str:
-    """Return the CRS in the file of the same name that ends in .prj, "" where there is none."""
+    """Return the CRS in the file of the same name that ends in .prj; "" without such a file."""
     prj = _prj_next_to(path)
     if prj is None:
         return ""
@@ -60,7 +60,7 @@ def say_other_crs(path: Path, stated: str) -> None:
 
 
 def _prj_next_to(path: Path) -> Path | None:
-    """Return the .prj file of a file; QGIS writes .qpj too, and some programs a.csv.prj."""
+    """Return the .prj file of a file, or its .qpj of QGIS, or its a.csv.prj; None without one."""
     candidates = (path.with_suffix(".prj"), path.with_suffix(".PRJ"),
                   path.with_name(f"{path.name}.prj"), path.with_suffix(".qpj"))
     return next((candidate for candidate in candidates

@@ -73,7 +73,8 @@ class Dem:
         return self.converted(x, y, self._interpolate_heights(x, y))
 
     def converted(self, x: FloatArray, y: FloatArray, heights: FloatArray) -> FloatArray:
-        """Return the raster's own heights at its x and y as those of the ground coordinates."""
+        """Return the raster's own heights at its x and y as those of the ground coordinates, (n,).
+        """
         # First the unit, then the datum, which is in metres, then the unit of the ground
         # coordinates.
         metres = heights * self.unit
@@ -97,7 +98,7 @@ class Dem:
         return np.array([[min(x), min(y)], [max(x), max(y)]])
 
     def _raster_xy(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return x and y of the raster's CRS."""
+        """Return x and y, (n,) each, in the raster's CRS of ground positions (n, 2)."""
         x, y = self.to_raster.transform(*np.asarray(xy, dtype=np.float64).T)
         if self.turns:
             # Longitudes may count from -180 or from 0, so that the one nearest to the raster is
@@ -106,7 +107,7 @@ class Dem:
         return np.asarray(x), np.asarray(y)
 
     def _interpolate_heights(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Return the raster's own heights at its x and y."""
+        """Return the raster's own heights at its x and y, (n,); NaN outside of it."""
         position = positions(self.raster, x, y)
         size = np.array(self.raster.shape)
         heights = np.full(len(position), np.nan)
@@ -127,7 +128,8 @@ class Dem:
         return heights
 
     def ellipsoidal(self, window: Any) -> FloatArray:
-        """Return ellipsoidal heights [m] of the pixels of a window."""
+        """Return ellipsoidal heights [m] of the pixels of a window, (lines, samples); NaN for none.
+        """
         rows, columns = np.mgrid[:window.height, :window.width] + 0.5
         x, y = self.raster.transform @ (columns.ravel() + window.col_off,
                                         rows.ravel() + window.row_off)
@@ -139,7 +141,8 @@ class Dem:
         return heights.reshape(window.height, window.width)
 
     def _pixels(self, first: Any, last: Any) -> FloatArray:
-        """Return the heights between two pixels, and the next row and column; NaN for none."""
+        """Return the heights from one pixel to another, with one more row and column; NaN for none.
+        """
         from rasterio.windows import Window
 
         # The pixel after the last one is needed to interpolate towards it.
@@ -147,7 +150,8 @@ class Dem:
         return self.stored(Window(int(first[1]), int(first[0]), columns, rows))
 
     def stored(self, window: Any) -> FloatArray:
-        """Return the raster's own heights in a window; NaN for none and infinite."""
+        """Return the raster's own heights in a window, (lines, samples); NaN for none and infinite.
+        """
         with np.errstate(all="ignore"):  # of bytes that are no numbers, and numbers near the limit
             values = self.raster.read(1, window=window, masked=True).astype(np.float64)
             heights = values.filled(np.nan) * self.raster.scales[0] + self.raster.offsets[0]
@@ -156,7 +160,10 @@ class Dem:
 
 
 def _bilinear(pixels: FloatArray, first: Any, share: FloatArray) -> FloatArray:
-    """Interpolate between pixels; those without any weight may be nodata."""
+    """Return heights (n,) at shares of a pixel, (n, 2), from the pixels `first`, (n, 2).
+
+    Pixels without any weight may be NaN.
+    """
     heights = np.zeros(len(first))
     for down in (0, 1):
         for right in (0, 1):
@@ -254,7 +261,7 @@ def open_dem(path: Path, crs: str) -> Iterator[Dem]:
 
 
 def _require_georeferenced(raster: Any, path: Path) -> None:
-    """Refuse a raster without a geotransform or a CRS, and say which of them is missing."""
+    """Raise TermselError for a raster without a geotransform or a CRS, naming the missing one."""
     has_transform = not raster.transform.is_identity
     if raster.crs is None and has_transform:
         raise TermselError("this raster has a geotransform but no CRS", file=path,
@@ -306,7 +313,10 @@ def surface_of(dem: Path | str | None, crs: str, height: float,
 
 
 def difference_of(features: FeatureSet, surface: Dem) -> DemDifference | None:
-    """Return how far a raster is above the known heights of features that take part."""
+    """Return how far a raster is above the known heights of features that take part.
+
+    None if these are too few, or the raster does not cover them.
+    """
     ground = features.ground_vertices()
     off = {name for name, role in zip(features.points.ids, features.points.roles, strict=True)
            if role == "off"}

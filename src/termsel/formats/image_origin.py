@@ -110,7 +110,7 @@ def _turn_to_upper_left(features: FeatureSet, origin: str,
                            hint="Give the image with --image FILE.")
 
     def turned(image: FloatArray) -> FloatArray:
-        """Return line and sample from the centre of the upper-left pixel."""
+        """Return line and sample, (..., 2), counted from the centre of the upper-left pixel."""
         line, sample = np.moveaxis(image, -1, 0)
         if start == UP:
             line = -line
@@ -156,7 +156,7 @@ def require_inside(features: FeatureSet, size: tuple[int, int] | None,
 
 
 def _few_outside(features: FeatureSet, outside: BoolArray) -> str:
-    """Return the ids of the features that are outside, if only a few are: a slip of the pen."""
+    """Return the ids of the features outside, if only a few are, a slip of the pen; else ""."""
     n = len(features.points)
     feature_of_vertex = np.concatenate([np.arange(n), n + np.repeat(features.lines.feature, 2)])
     ids = [features.ids[i] for i in np.unique(feature_of_vertex[outside.any(axis=1)])]

@@ -64,7 +64,7 @@ class Band:
 
     @property
     def colour_in_vrt(self) -> str:
-        """What GDAL calls the colour."""
+        """GDAL's name of the colour in a VRT."""
         return _NAMES_IN_VRT.get(self.colour, self.colour.capitalize())
 
     @property
@@ -79,7 +79,7 @@ class Band:
 
     @property
     def category(self) -> bool:
-        """Whether its values are indices or classes, between which there is nothing."""
+        """Whether its values are indices or classes, so that none lies between two of them."""
         return self.whole and bool(self.table or self.thematic or self.bits == 1)
 
 
@@ -103,7 +103,7 @@ class Picture:
 
 
 def picture_of(image: Path) -> Picture:
-    """Return what a VRT must know of an image; raises TermselError if GDAL cannot read it."""
+    """Return the description of an image for a VRT; raises TermselError if GDAL cannot read it."""
     with open_raster(image) as raster:
         thematic = _has_classes(image)
         # rasterio has no names of categories and no lookup tables.
@@ -114,7 +114,7 @@ def picture_of(image: Path) -> Picture:
 
 
 def _band_descriptions(raster: Any) -> Sequence[ElementTree.Element]:
-    """Return what GDAL says of each band in a VRT: rasterio does not show names of categories."""
+    """Return GDAL's description of each band in a VRT: rasterio has no names of categories."""
     # The copy must be made where the dataset is open, in the other process.
     text = with_dataset(raster, _text_of_vrt)
     return ElementTree.fromstring(_CONTROL.sub("", text)).findall("VRTRasterBand")
@@ -132,7 +132,7 @@ def _text_of_vrt(raster: Any) -> str:
 
 
 def _band(raster: Any, number: int, element: ElementTree.Element, thematic: bool) -> Band:
-    """Return what a VRT must know of one band."""
+    """Return the description of one band for a VRT."""
     def text_of(name: str, default: str) -> str:
         return element.findtext(name) or default
 
@@ -164,7 +164,7 @@ def _colour(entry: ElementTree.Element) -> Colour:
 
 
 def _has_classes(image: Path) -> bool:
-    """Return whether a file next to an image says what classes its values are."""
+    """Return whether a file next to an image gives the classes of its values."""
     sidecar = image.with_name(f"{image.name}.aux.xml")
     if is_there(sidecar) and sidecar.is_file():
         with sidecar.open("rb") as file:
@@ -176,7 +176,7 @@ def _has_classes(image: Path) -> bool:
 
 
 def _has_own_mask(raster: Any, image: Path) -> bool:
-    """Return whether an image has a mask of its own, and say so where its bands differ in it."""
+    """Return whether an image has a mask of its own; warn if its bands have different ones."""
     from rasterio.enums import MaskFlags
 
     flags = raster.mask_flag_enums

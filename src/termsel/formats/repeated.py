@@ -28,7 +28,7 @@ _averaging: ContextVar[bool] = ContextVar("averaging", default=False)
 
 @contextmanager
 def averaging(choice: str | None) -> Iterator[None]:
-    """Average the repeated points of tables that are read meanwhile, if that is the choice."""
+    """Average the repeated points of tables read during the block, if that is the choice."""
     before = _averaging.set(REPEATED.parse(choice) == AVERAGE if choice else False)
     try:
         yield
@@ -45,7 +45,8 @@ def averaged(ids: Sequence[str], image: FloatArray, ground: FloatArray, sigma: F
              roles: Sequence[str]) -> tuple[IntArray, FloatArray, FloatArray | None]:
     """Return the first row of each place (m,), its mean image position and standard deviations.
 
-    Rows with the role "off" take no part where others are at their place. Refuses different roles
+    The means are (n, 2), and so are the deviations, which are None without `sigma`. Rows with the
+    role "off" take no part where others are at their place. Raises TermselError for different roles
     at one place: one of them would be lost.
     """
     off = np.array([role == "off" for role in roles])
@@ -76,7 +77,7 @@ def averaged(ids: Sequence[str], image: FloatArray, ground: FloatArray, sigma: F
 
 def _log_averaged_rows(ids: Sequence[str], image: FloatArray, means: FloatArray,
                        repeated: Sequence[Sequence[int]]) -> None:
-    """Log which rows were averaged, and how far they are from their means at most."""
+    """Log which rows were averaged, and their largest distance from their means."""
     distances = [float(np.linalg.norm(image[rows] - means[rows[0]], axis=1).max())
                  for rows in repeated]
     groups = [", ".join(ids[row] for row in rows) for rows in repeated[:5]]

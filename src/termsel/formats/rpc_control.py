@@ -23,7 +23,7 @@ _LARGEST_COUNT = 10**9
 
 
 def control_items(rpc: Rpc) -> dict[str, str]:
-    """Return what the metadata of a raster say of the control of its RPC; nothing of a vendor's."""
+    """Return a raster's metadata on the control of its RPC; {} for a vendor's RPC."""
     if not rpc.control_count:
         return {}
     return {_NOTE: f"This RPC was fitted by termsel to {rpc.control_count} control features.",

@@ -96,7 +96,7 @@ def read_rpc(path: Path | str) -> Rpc:
     >>> rpc.project([[48.5, 34.8, 1850.0]]).shape
     (1, 2)
     """
-    path, name = _named_part(Path(path))
+    path, name = _file_and_name(Path(path))
     head = read_head(path, f"Expected {KNOWN}.")
     try:
         rpc = _read(path, head, name)
@@ -105,8 +105,8 @@ def read_rpc(path: Path | str) -> Rpc:
         raise (error if error.file is not None else located(error, path)) from error
 
 
-def _named_part(path: Path) -> tuple[Path, str]:
-    """Return the file of FILE#NAME, and the name; a file that is there has the name as it is."""
+def _file_and_name(path: Path) -> tuple[Path, str]:
+    """Return the file of FILE#NAME, and the name; "" if there is a file of the whole name."""
     stem, sign, name = path.name.rpartition("#")
     if not sign or not stem or path.exists():
         return path, ""
@@ -145,7 +145,7 @@ def delivered_rpc(image: Path | str) -> Rpc | None:
 
 
 def _rpcs_beside(image: Path) -> Iterator[tuple[Path, Rpc]]:
-    """Yield the files next to an image in which GDAL looks for its RPC, as far as they are read."""
+    """Yield the files next to an image in which GDAL looks for its RPC, if they can be read."""
     for ending in _BESIDE:
         path = image.with_name(image.stem + ending)
         if is_there(path):
@@ -154,17 +154,17 @@ def _rpcs_beside(image: Path) -> Iterator[tuple[Path, Rpc]]:
 
 
 def _rpc_within(image: Path) -> dict[str, Rpc]:
-    """Return the RPC in the tags of an image itself, by the name of the image, if there is one."""
+    """Return the RPC in the tags of an image itself, by the name of the image; {} without one."""
     with suppress(TermselError), without_siblings():
         return {image.name: read_rpc(image)}
     return {}
 
 
 def size_with_rpc(rpc: Any) -> tuple[int, int] | None:
-    """Return lines and samples of the image that is the file of its RPC, if it is one."""
+    """Return lines and samples of the image that holds its RPC itself; None for other files."""
     if not isinstance(rpc, Path | str):
         return None
-    path, _ = _named_part(Path(rpc))
+    path, _ = _file_and_name(Path(rpc))
     head = read_head(path, "")
     if b"\0" not in head or is_utf16(head):
         return None
@@ -180,7 +180,7 @@ def with_rpc(features: FeatureSet, rpc: Rpc | Path | str,
     """
     if isinstance(rpc, Rpc):
         return replace(features, rpc=rpc if image_part is None else image_part.rpc(rpc))
-    path, _ = _named_part(Path(rpc))
+    path, _ = _file_and_name(Path(rpc))
     size = features.image_size
     full_rpc = read_rpc(rpc)
     if full_rpc.control_count:
@@ -253,9 +253,9 @@ def _rpc_items_of_image(path: Path) -> tuple[dict[str, str], dict[str, Items], d
 
 
 def _choose_rpc(items_of: Mapping[str, Items], name: str, *, bands: bool = False) -> Rpc:
-    """Return the RPC of a name, the only one, or of bands that in the middle.
+    """Return the RPC of a name, the only one, or, of bands, the middle one.
 
-    Raises TermselError for a name that there is not, and for RPCs of several images without one.
+    Raises TermselError for an unknown name, and for RPCs of several images without a name.
     """
     names = list(items_of)
     listed = ", ".join(names[:_LISTED]) + (", ..." if len(names) > _LISTED else "")

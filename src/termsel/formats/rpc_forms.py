@@ -69,13 +69,16 @@ def rpcs_of_xml(root: ElementTree.Element) -> dict[str, Items]:
 
 
 def rpc_of_tags(tags: Mapping[str, str]) -> Items:
-    """Return the RPC in the tags of a band; nothing where there is none."""
+    """Return the items of the RPC in the tags of a band; {} without one."""
     items = _items(tags)
     return items if items.keys() >= _IS_RPC else {}
 
 
 def rpc_of_result(tree: object) -> Rpc | None:
-    """Return the vendor's RPC that a run was given, from the tree of its result.json."""
+    """Return the vendor's RPC that a run was given, from the tree of its result.json.
+
+    None if it was given none. Raises TermselError if its numbers were changed.
+    """
     data = tree.get("data") if isinstance(tree, dict) and "schema" in tree else None
     numbers = data.get("rpc") if isinstance(data, dict) else None
     if numbers is None:
@@ -88,7 +91,7 @@ def rpc_of_result(tree: object) -> Rpc | None:
 
 
 def tree_of_json(text: str) -> object:
-    """Return what JSON holds; nothing where it is none."""
+    """Return the tree of a text of JSON; None if it is not JSON."""
     try:
         return json.loads(text)
     except (ValueError, RecursionError):
@@ -135,7 +138,7 @@ def tree_of_yaml(text: str) -> dict[str, Any]:
 
 
 def largest_difference(rpcs: Mapping[str, Rpc], name: str) -> float:
-    """Return how far others see places from where the RPC of a name sees them, at most [px]."""
+    """Return the largest distance between an RPC's image positions and those of others [px]."""
     rpc = rpcs[name]
     # A lattice over the cube within which an RPC is valid: offset +- scale along each axis.
     steps = np.array(list(product(np.linspace(-1.0, 1.0, 5), repeat=3)))
@@ -185,7 +188,7 @@ def _dictionaries(tree: object, path: tuple[str, ...],
 
 
 def _items(values: Mapping[str, Any]) -> Items:
-    """Return the numbers of an RPC by GDAL's names, whatever names they have."""
+    """Return the numbers of an RPC by GDAL's names, in whatever spelling they come."""
     items: Items = {}
     for key, value in values.items():
         # "lineNumCoef", "LINE_NUM_COEFF" and "line num coeff" have the same letters.

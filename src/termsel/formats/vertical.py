@@ -143,7 +143,8 @@ def to_datum_of(crs: str, raster_crs: CRS, path: Path) -> Heights | None:
         raise TermselError(
             f"the heights of this raster are {datum}, those of the ground coordinates are "
             f"{_heights_in_words(crs)}, and {reason}", file=path,
-            hint=f"{error.hint or 'Give a raster of the same heights.'}{_same(crs, raster_crs)}"
+            hint=f"{error.hint or 'Give a raster of the same heights.'}"
+                 f"{_advice_if_same_heights(crs, raster_crs)}"
         ) from error
 
     # PROJ gives infinity where a grid has no value.
@@ -156,13 +157,13 @@ def to_datum_of(crs: str, raster_crs: CRS, path: Path) -> Heights | None:
 
 
 def _heights_in_words(crs: str) -> str:
-    """Return what heights of ground coordinates refer to, in words."""
+    """Return the surface that heights of ground coordinates refer to, in words."""
     reference = height_reference(crs)
     return "taken as ellipsoidal" if reference.startswith("not stated") else reference
 
 
-def _same(crs: str, raster_crs: CRS) -> str:
-    """Return what to do where ground coordinates have the heights of a raster, if that is open."""
+def _advice_if_same_heights(crs: str, raster_crs: CRS) -> str:
+    """Return advice to state the raster's heights for the control; "" if they are stated."""
     vertical_crs = _vertical(raster_crs)
     number = None if vertical_crs is None else vertical_crs.to_epsg()
     if not height_reference(crs).startswith("not stated") or number is None:
@@ -174,12 +175,12 @@ def _same(crs: str, raster_crs: CRS) -> str:
 
 
 def _vertical(crs: CRS) -> CRS | None:
-    """Return the vertical part of a compound CRS."""
+    """Return the vertical part of a compound CRS; None of another."""
     return next((component for component in crs.sub_crs_list if component.is_vertical), None)
 
 
 def _frame(crs: CRS) -> tuple[str, str]:
-    """Return what heights are above: a kind of surface and its name."""
+    """Return the surface that heights are above: "geoid" or "ellipsoid", and its name."""
     vertical = _vertical(crs)
     if vertical is not None:
         # Two geoids are two surfaces; two CRSs of one geoid are one.
@@ -190,7 +191,10 @@ def _frame(crs: CRS) -> tuple[str, str]:
 
 
 def _datum_by_tags(raster: Any, path: Path) -> str | None:
-    """Return the vertical datum that tags state: a code of EPSG, or "ellipsoidal"."""
+    """Return the vertical datum by a raster's tags: a code of EPSG, or "ellipsoidal".
+
+    None without such a tag. Raises TermselError for a datum that PROJ does not have.
+    """
     for name, value in {**raster.tags(), **raster.tags(1)}.items():
         # The name must be of heights and of a datum: "height" alone is a number.
         if not _OF_HEIGHTS.search(name) or not _OF_DATUM.search(name):
@@ -209,7 +213,7 @@ def _datum_by_tags(raster: Any, path: Path) -> str | None:
 
 
 def _is_number(value: str) -> bool:
-    """Return whether the value of a tag is a height itself."""
+    """Return whether the value of a tag is a number, hence a height and no datum."""
     try:
         float(value)
     except ValueError:
@@ -218,7 +222,7 @@ def _is_number(value: str) -> bool:
 
 
 def _datum_of(words: tuple[str, ...]) -> str | None:
-    """Return the datum that some consecutive words name, the longest name first."""
+    """Return the datum that consecutive words name, by the longest name; None if none do."""
     codes = _vertical_names()
     # "navd 88 height" before "navd".
     for count in range(min(len(words), _LONGEST_NAME), 0, -1):
@@ -253,7 +257,7 @@ def _vertical_names() -> dict[str, str]:
 
 
 def said(raster_crs: CRS, converted: bool, crs: str) -> str:
-    """Return the vertical datum of a raster in words, and what it was converted to."""
+    """Return the vertical datum of a raster in words, and the one it was converted to."""
     datum = vertical_datum(raster_crs)
     if not datum:
         return "not declared by the raster"

@@ -26,7 +26,11 @@ IMAGE = Option("image", None, "The image; if not given, the VRT has a size but n
 
 
 def picture_for(result: Result, image: Path | str | None) -> Picture:
-    """Return what a VRT must know of the image of a result, by default of a size that holds all."""
+    """Return the description of a result's image for a VRT.
+
+    Without an image its size is that of the features, or one that holds them all. Raises
+    TermselError if the image has another size.
+    """
     size_of_features = result.features.image_size
     if image is None:
         require_inside(result.features, size_of_features, None)
@@ -127,7 +131,7 @@ def _said_of(band: Band) -> list[str]:
 
 def _pixels_of(name: str, number: str, size: tuple[int, int], lookup: Sequence[int] = (),
                ) -> list[str]:
-    """Return the elements of where a band takes its pixels from, and what values become."""
+    """Return the lines of XML on the source of a band, with the value that each becomes."""
     # Only a complex source maps values; a simple one is faster.
     kind = "ComplexSource" if lookup else "SimpleSource"
     extent = f'xSize="{size[1]}" ySize="{size[0]}"'
@@ -144,7 +148,7 @@ def _pixels_of(name: str, number: str, size: tuple[int, int], lookup: Sequence[i
 
 
 def relative(path: Path, folder: Path) -> str:
-    """Return the name of a file as seen from a folder; absolute where there is no way."""
+    """Return the name of a file as seen from a folder; absolute if it is on another drive."""
     # A file that is a link is named itself: the other's name may be one that GDAL does not take.
     file = path.parent.resolve() / path.name
     try:

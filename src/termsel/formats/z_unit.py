@@ -99,7 +99,10 @@ def _telling(features: FeatureSet) -> FeatureSet:
 
 
 def _unit_by_dem(features: FeatureSet, units: tuple[str, ...], dem: Path) -> str | None:
-    """Return the unit in which heights differ from a DEM by a shift, or agree with it."""
+    """Return the unit in which heights differ from a DEM by a shift, or agree with it.
+
+    None if the DEM does not decide between them.
+    """
     ground = _telling(features).ground_vertices()
     ground = ground[np.isfinite(ground[:, 2])]
     with open_dem(dem, with_height_unit(features.crs, METRE)) as surface:
@@ -110,15 +113,14 @@ def _unit_by_dem(features: FeatureSet, units: tuple[str, ...], dem: Path) -> str
     if not on_dem.any():
         return None
     if on_dem.sum() >= _TELLING:
-        return _clearly({unit: _scatter(over) for unit, over in differences.items()})
+        return _clearly_smallest({unit: _scatter(over) for unit, over in differences.items()})
     # Of few points only distances beyond that of any geoid show a unit.
     distance = {unit: float(np.median(np.abs(over))) for unit, over in differences.items()}
-    return _clearly(distance) if max(distance.values()) > _MAX_GEOID_HEIGHT else None
+    return _clearly_smallest(distance) if max(distance.values()) > _MAX_GEOID_HEIGHT else None
 
 
 def _unit_by_rpc(features: FeatureSet, units: tuple[str, ...], rpc: Rpc) -> str | None:
-    """Return the unit in which an RPC sees points where they are, but for a shift, or covers them.
-    """
+    """Return the unit in which an RPC sees or covers the points, but for a shift; None if open."""
     points = _telling(features).points
     if not len(points):
         return None
@@ -131,7 +133,7 @@ def _unit_by_rpc(features: FeatureSet, units: tuple[str, ...], rpc: Rpc) -> str 
         # In wrong units most heights are outside of the range that the RPC was made for.
         above = np.abs(ground[:, 2] - rpc.ground_offset[2])
         covered[unit] = float((above <= _WITHIN * abs(rpc.ground_scale[2])).mean())
-    clearly = _clearly(scatter) if len(points) >= _TELLING else None
+    clearly = _clearly_smallest(scatter) if len(points) >= _TELLING else None
     if clearly is not None:
         return clearly
     best, second = sorted(units, key=lambda unit: -covered[unit])
@@ -144,8 +146,8 @@ def _scatter(values: FloatArray) -> float:
     return float(np.median(np.abs(away) if away.ndim == 1 else np.linalg.norm(away, axis=1)))
 
 
-def _clearly(sizes: Mapping[str, float]) -> str | None:
-    """Return what has clearly the smallest size, if anything has."""
+def _clearly_smallest(sizes: Mapping[str, float]) -> str | None:
+    """Return the unit of clearly the smallest size; None if none is."""
     # The best must be three times as near as the other, which noise is not.
     best, second = sorted(sizes, key=lambda unit: sizes[unit])
     return best if sizes[best] < _CLEAR * sizes[second] else None

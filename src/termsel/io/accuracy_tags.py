@@ -42,7 +42,7 @@ class Prediction:
 
     @property
     def metres(self) -> tuple[float, float, float] | None:
-        """RMSE and interval on the ground [m]."""
+        """RMSE and its interval on the ground [m]; None if the size of a pixel is not known."""
         # The interval is scaled as the RMSE is: the size of a pixel is the same for both.
         size = self.pixel
         return None if size is None else (size * self.rmse, size * self.low, size * self.high)

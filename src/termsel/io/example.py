@@ -190,7 +190,7 @@ def _control_features(folder: Path) -> None:
 
 
 def _roads(folder: Path, lines: Lines) -> None:
-    """Write lines of a map, and the same ones measured in the image."""
+    """Write lines of a map, and the same lines measured in the image."""
     features = [{"type": "Feature", "properties": {"name": name}, "geometry": {
         "type": "LineString", "coordinates": ground}} for name, ground in zip(
             lines.ids[:30], lines.ground[:30].tolist(), strict=True)]

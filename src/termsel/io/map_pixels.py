@@ -60,18 +60,18 @@ class MapPixels:
 
     @property
     def plain(self) -> Picture:
-        """The picture without what the warper does not need."""
+        """The picture without tables and categories, which the warper does not need."""
         return replace(self.picture, bands=tuple(
             replace(band, table=(), categories=()) for band in self.picture.bands))
 
     @property
     def alpha(self) -> bool:
-        """Whether the last band as it is warped is alpha."""
+        """Whether the last band of the image is alpha."""
         return self.picture.bands[-1].alpha
 
     @property
     def masked(self) -> bool:
-        """Whether a mask says where the map shows nothing."""
+        """Whether the map needs a mask: it has no value for no data, and no alpha that is one."""
         # GDAL takes alpha for the mask of two or four bands alone, and of the last band.
         usual = self.alpha and len(self.order) in (2, 4) and self.bands[-1].alpha
         return self.nodata is None and not usual
@@ -94,7 +94,7 @@ class MapPixels:
 
     @property
     def bits(self) -> int | None:
-        """Bits of a pixel where several are held in a byte."""
+        """Bits of a pixel where a byte holds several pixels; None elsewhere."""
         if len(self.picture.bands) > 1 or not self.category:
             return None
         stored = self.picture.bands[0].bits
@@ -157,7 +157,7 @@ def map_pixels(picture: Picture, resampling: str | None, nodata: float | None) -
 
 
 def _unused_index(picture: Picture) -> int | None:
-    """Return an index that no pixel has, if there is one: the first beyond the table, or in it."""
+    """Return an index that no pixel has, beyond the table if possible; None without one."""
     band = picture.bands[0]
     used = np.zeros(2 ** (16 if band.type == "UInt16" else 8), dtype=bool)
     if picture.path is None or band.type not in _WITH_TABLE:
@@ -172,7 +172,10 @@ def _unused_index(picture: Picture) -> int | None:
 
 
 def _common(values: tuple[float | None, ...]) -> tuple[float | None, bool]:
-    """Return the value that all bands have for no data, and whether they have the same or none."""
+    """Return the value of all bands for no data, and True; None and False if they differ.
+
+    The value is None, too, where no band has one.
+    """
     first = values[0]
     for value in values[1:]:
         both_nan = value is not None and first is not None \
@@ -267,7 +270,7 @@ def warp(raster: Any, output: Path, grid: MapGrid, spec: MapPixels, *, tags: Map
             visible &= opaque[tile[0]]
         if spec.fill is not None:
             if spec.nodata is not None:
-                lost += _kept_apart(tile[:len(spec.empty)], visible, spec)
+                lost += _move_off_nodata(tile[:len(spec.empty)], visible, spec)
             tile[:len(spec.empty), ~visible] = spec.fill
         in_order = spec.order == tuple(range(len(tile)))
         return tile if in_order else tile[list(spec.order)], visible
@@ -281,7 +284,7 @@ def warp(raster: Any, output: Path, grid: MapGrid, spec: MapPixels, *, tags: Map
 
 
 def _unreadable_source(image: Path | None, error: Exception) -> TermselError:
-    """Return the error for what could not be warped: the image if it cannot be read, or heights."""
+    """Return the error for a failed warp: of the image if it cannot be read, or of heights."""
     # GDAL says only that warping failed. Reading the image alone shows whether it is at fault.
     if image is not None:
         try:
@@ -313,7 +316,7 @@ def _interpolated_tile(raster: Any, spec: MapPixels, positions: FloatArray) -> t
                   for half in np.array_split(positions, 2, axis)]
         return (np.concatenate([tile for tile, _ in halves], axis + 1),
                 np.concatenate([visible for _, visible in halves], axis))
-    values, has_data = _read(raster, spec, window)
+    values, has_data = _pixels_and_mask(raster, spec, window)
     image_window = ImageWindow(values, has_data, window.row_off, window.col_off)
     tile, has_value = resampled(image_window, positions, spec.resampling, raster.shape, empty)
     # As gdalwarp has it: what is no data in some bands counts in the others.
@@ -337,7 +340,7 @@ def _window_of(raster: Any, spec: MapPixels, positions: FloatArray) -> Any:
     return Window(int(first[1]), int(first[0]), int(last[1] - first[1]), int(last[0] - first[0]))
 
 
-def _read(raster: Any, spec: MapPixels, window: Any) -> tuple[Values, Mask]:
+def _pixels_and_mask(raster: Any, spec: MapPixels, window: Any) -> tuple[Values, Mask]:
     """Return pixels (bands, lines, samples) of a window, alpha last, and which of them are data."""
     bands = list(range(1, len(spec.empty) + spec.alpha + 1))
     values = np.ascontiguousarray(raster.read(bands, window=window).astype(spec.dtype, copy=False))
@@ -394,10 +397,10 @@ def _warped_tile(raster: Any, spec: MapPixels, shape: tuple[int, int], crs: str,
     return (tile if spec.alpha else tile[:-1]), visible
 
 
-def _kept_apart(tile: Values, visible: Mask, spec: MapPixels) -> int:
-    """Move values that are shown away from that of what is not, by the least step.
+def _move_off_nodata(tile: Values, visible: Mask, spec: MapPixels) -> int:
+    """Move visible values that equal the map's no-data value by the least step.
 
-    Of categories, which cannot be moved, the number that is lost is returned.
+    Categories cannot be moved: returned is how many of their pixels are lost, else 0.
     """
     if spec.nodata is None or np.isnan(spec.nodata):
         return 0
@@ -417,7 +420,7 @@ def _kept_apart(tile: Values, visible: Mask, spec: MapPixels) -> int:
 
 
 def _profile(grid: MapGrid, spec: MapPixels) -> dict[str, Any]:
-    """Return what rasterio needs to know of the map."""
+    """Return the profile of the map, with which rasterio creates it."""
     return {"height": grid.lines, "width": grid.samples, "count": len(spec.order),
             "dtype": spec.dtype.name, "crs": grid.crs, "transform": grid.transform,
             "nodata": spec.nodata, **({"alpha": "YES"} if spec.alpha else {}),
@@ -425,7 +428,7 @@ def _profile(grid: MapGrid, spec: MapPixels) -> dict[str, Any]:
 
 
 def _describe(tiled: Any, spec: MapPixels, tags: Mapping[str, str]) -> None:
-    """Set the colours of the map, and what it says of its bands."""
+    """Set the colours of the map, and the descriptions, units and scales of its bands."""
     from rasterio.enums import ColorInterp
 
     bands = spec.bands

@@ -100,7 +100,7 @@ class MapPositions:
             step //= 2
         self._step = min(2 * step, COARSEST) if error < _COARSER_SHARE * CLOSE_PX else step
         if error > CLOSE_PX:
-            return self._each(shape, transform, heights)
+            return self._position_each_pixel(shape, transform, heights)
         return positions
 
     def _try_positions(self, has_height: NDArray[np.bool_]) -> NDArray[np.intp]:
@@ -115,7 +115,7 @@ class MapPositions:
 
     def _interpolate_positions(self, shape: tuple[int, int], transform: Any, heights: FloatArray,
                                levels: FloatArray, step: int) -> FloatArray:
-        """Return positions between those at nodes, at the heights of the pixels."""
+        """Return positions between nodes, (lines, samples, 2), at the heights of the pixels."""
         nodes, size = _nodes(shape, step)
         plan = self._ground(nodes, transform)
         at_levels = np.stack([self._positions(np.column_stack([plan, np.full(len(plan), level)]))
@@ -124,8 +124,9 @@ class MapPositions:
         _between(at_levels.reshape(len(levels), *size, 2), levels, heights, step, positions)
         return positions
 
-    def _each(self, shape: tuple[int, int], transform: Any, heights: FloatArray) -> FloatArray:
-        """Return the model's own positions of all pixels: it is not smooth enough there."""
+    def _position_each_pixel(self, shape: tuple[int, int], transform: Any,
+                             heights: FloatArray) -> FloatArray:
+        """Return the model's own positions of all pixels, (lines, samples, 2), where it bends."""
         lines, samples = np.indices(shape)
         pixels: FloatArray = np.column_stack([lines.ravel(), samples.ravel()]) + np.float64(0.5)
         positions = np.empty((len(pixels), 2))
@@ -149,7 +150,8 @@ class MapPositions:
         return positions
 
     def _is_near(self, plan: FloatArray) -> NDArray[np.bool_]:
-        """Return whether places are about where the image is: beyond, polynomials turn back."""
+        """Return which places (n, 2) are about where the image is, (n,): beyond, polynomials turn.
+        """
         normals, offsets = self._hull
         return np.asarray((plan @ normals.T <= offsets).all(axis=1))
 
@@ -164,7 +166,7 @@ class MapPositions:
         return equations[:, :2], margin - equations[:, 2]
 
     def _levels(self, low: float, high: float) -> FloatArray:
-        """Return the heights at which the model is asked."""
+        """Return the heights (l,) at which the model is evaluated; one if it uses none."""
         if not self.fitted.model.uses_height or low == high:
             return np.array([low])
         return np.linspace(low - HEIGHT_MARGIN, high + HEIGHT_MARGIN, LEVELS)
@@ -201,7 +203,7 @@ class MapPositions:
         raster_positions = np.stack([line, sample], axis=1) - 0.5
         window = _part_of(surface, raster_positions)
         if window is None:
-            return self._looked_up(shape, transform)
+            return self._height_of_each_pixel(shape, transform)
         pixels, first = window
         # What the datum adds is smooth, unlike the ground.
         zeros = np.zeros(len(x))
@@ -215,8 +217,9 @@ class MapPositions:
         _heights_between(pixels, at_nodes, COARSEST, end, first, slope, heights)
         return heights
 
-    def _looked_up(self, shape: tuple[int, int], transform: Any) -> FloatArray:
-        """Return the heights of the ground at pixels, each by itself."""
+    def _height_of_each_pixel(self, shape: tuple[int, int], transform: Any) -> FloatArray:
+        """Return the heights of the ground at pixels, (lines, samples), each looked up by itself.
+        """
         surface = self.surface
         assert isinstance(surface, Dem)
         lines, samples = np.indices(shape)
@@ -236,7 +239,7 @@ def _nodes(shape: tuple[int, int], step: int) -> tuple[FloatArray, tuple[int, in
 
 
 def _part_of(surface: Dem, positions: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-    """Return the pixels of a raster around places, and the first one; None for too many."""
+    """Return the pixels of a raster around places, and the first one, (2,); None for too many."""
     from rasterio.windows import Window
 
     finite = positions[np.isfinite(positions).all(axis=1)]
@@ -253,7 +256,10 @@ def _part_of(surface: Dem, positions: FloatArray) -> tuple[FloatArray, FloatArra
 
 
 def _largest_error(positions: FloatArray, exact: FloatArray) -> float:
-    """Return how far positions are from exact ones; infinite where only one of them is known."""
+    """Return the largest distance of positions (n, 2) from exact ones [px].
+
+    Infinite where an exact position has no counterpart.
+    """
     exact_known = np.isfinite(exact).all(axis=1)
     missing = ~np.isfinite(positions).all(axis=1)
     if (missing & exact_known).any():

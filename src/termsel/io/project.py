@@ -120,7 +120,7 @@ def project_table(
 
 def _warnings(missed: Sequence[str], hidden: Sequence[str], far: Sequence[str], *, encloses: bool,
               inverse: bool) -> Iterator[str]:
-    """Yield what is wrong with projected or located points, in clauses."""
+    """Yield clauses on points that were not projected or located, or only far outside."""
     if not encloses:
         yield "the control encloses no area, so `outside` cannot be computed"
     if hidden:
@@ -138,7 +138,7 @@ def _warnings(missed: Sequence[str], hidden: Sequence[str], far: Sequence[str], 
 
 
 def _control(result: Result) -> FloatArray:
-    """Return the ground coordinates of what a result was fitted to."""
+    """Return the ground coordinates (v, 3) of the control that a result was fitted to."""
     original = result.exported.original or result.exported
     return original.control.take(original.used).ground_vertices()
 

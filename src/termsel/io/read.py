@@ -244,7 +244,7 @@ def refuse_misspelt(options: Iterable[str]) -> None:
 
 def _with_packages(features: FeatureSet, values: Mapping[str, Any],
                    image: Path | str | None) -> FeatureSet:
-    """Return features with what options of packages, or the image, show of them."""
+    """Return features with the additions of packages, by their options or by the image."""
     if values or image is not None:
         for package in parts(OF_PACKAGES):
             features = package.read(features, values, image)
@@ -312,7 +312,7 @@ def readers_of(paths: Sequence[Path], formats: Sequence[str]) -> list[type[Reade
 
 
 def _is_recognised(path: Path, readers: Iterable[type[Reader]]) -> bool:
-    """Return whether a file is there and one of the readers recognises it."""
+    """Return whether a file exists and one of the readers recognises it."""
     if not is_there(path) or not path.is_file():
         return False
     head = read_head(path, EXPECTED)
@@ -353,20 +353,20 @@ def find_reader(path: Path, readers: Iterable[type[Reader]], format: str | None 
         raise unknown_name("file format", format, [reader.name for reader in usable])
     if is_there(path) and path.is_dir():
         for_folders = [reader for reader in named or usable if reader.folders]
-        of_folder = _readers_that_recognise(path, b"", for_folders)
+        of_folder = _reader_that_recognises(path, b"", for_folders)
         if of_folder is not None:
             return of_folder
     head = read_head(path, EXPECTED)
     if named:
         return named[0]
-    recognising = _readers_that_recognise(path, head, usable)
+    recognising = _reader_that_recognises(path, head, usable)
     if recognising is not None:
         return recognising
     if any(name in head for name in (b"LINE_NUM_COEFF", b"lineNumCoef", b"Global_RFM")):
         raise TermselError("this file contains an RPC and no control features", file=path,
                            hint="Give control with --points and the RPC with --rpc; auto then "
                                 "corrects it. " + registry().missing("rpc-gcps"))
-    if is_utf16(head) and _readers_that_recognise(
+    if is_utf16(head) and _reader_that_recognises(
             path, head.decode("utf-16", errors="ignore").encode(), usable) is not None:
         raise utf16_error(path)
     _refuse_other_content(path, head)
@@ -404,8 +404,11 @@ def _refuse_other_content(path: Path, head: bytes) -> None:
                                 "image coordinates among their properties.")
 
 
-def _readers_that_recognise(path: Path, head: bytes, readers: Sequence[Reader]) -> Reader | None:
-    """Return the reader that recognises a file; built-in ones come first, in their order."""
+def _reader_that_recognises(path: Path, head: bytes, readers: Sequence[Reader]) -> Reader | None:
+    """Return the reader that recognises a file, a built-in one first; None if none does.
+
+    Raises TermselError if several readers of plugins do.
+    """
     built_in_reader = next((reader for reader in readers
                             if is_own(type(reader)) and reader.sniff(path, head)), None)
     claims = []
@@ -509,7 +512,7 @@ def _can_be_read(read_with: Callable[..., FeatureSet], crs: str | None,
 
 @contextmanager
 def _silence() -> Iterator[None]:
-    """Log nothing: what is only tried out is not what is read."""
+    """Log nothing during the block, in which readings are only tried."""
     logger = logging.getLogger("termsel")
     level = logger.level
     logger.setLevel(logging.CRITICAL + 1)
@@ -649,7 +652,8 @@ def _refuse_idle(options: Mapping[str, Any], reader_of: Mapping[Path, Reader]) -
 
 
 def _check_kinds(path: Path, counts: dict[str, int], expected: dict[str, bool]) -> None:
-    """Refuse a file without what it was given as, or with more than that."""
+    """Raise TermselError for a file without points or lines that it was given as, or with others.
+    """
     present = [kind for kind, count in counts.items() if count]
     for kind in counts:
         # The counts are of what the file holds, the expected kinds of what it was given as.
@@ -697,7 +701,7 @@ def _agreed_crs(sets: dict[Path, FeatureSet], stated: str | None) -> str:
 def _may_add_heights(sets: Iterable[FeatureSet], stated: str | None) -> bool:
     """Return whether EPSG:4979 may stand for EPSG:4326, to which it adds the meaning of heights.
 
-    So says the user, or that nothing in EPSG:4326 has heights.
+    It may if the user has stated it, or if no features in EPSG:4326 have heights.
     """
     if stated is not None:
         return stated == "EPSG:4979"

@@ -210,7 +210,7 @@ def _source(result: Result, picture: Picture, vrt: Path, surface: Dem | float, g
 
 
 def _say_level(result: Result, surface: Dem | float) -> None:
-    """Warn how far heights of the control are off a level ground, where no raster is given."""
+    """Warn how far heights of the control are off a level ground, if no raster is given."""
     if isinstance(surface, Dem) or not result.fit.model.uses_height:
         return
     log.warning("Warning: without a raster of heights (--dem) the ground is taken as level, at the "
@@ -236,7 +236,7 @@ def _rpc(result: Result) -> RpcFit | None:
 
 def _say(result: Result, grid: MapGrid, crs_note: str, share: float,
          dem: Path | str | None) -> None:
-    """Log what the map is, and which share of the image it shows."""
+    """Log size and CRS of the map, and which share of the image it shows."""
     log.info("Map: %d x %d px of %g %s in %s%s, with %s of the image.", grid.samples,
              grid.lines, grid.transform.a, grid.unit, short(grid.crs), crs_note,
              "all" if share == 1 else f"about {100 * share:.0f} %")

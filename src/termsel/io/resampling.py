@@ -93,7 +93,7 @@ def resampled(window: ImageWindow, positions: FloatArray, resampling: str, size:
 
 
 def reach(resampling: str, positions: FloatArray) -> FloatArray:
-    """Return how far kernels reach around positions, along lines and samples [px]."""
+    """Return the reach of a kernel around positions, along lines and samples [px], (2,)."""
     # One pixel more, as positions lie between pixels.
     return RADII[KERNELS[resampling]] * np.maximum(_stretch(positions), 1.0) + 1.0
 
@@ -126,7 +126,7 @@ _bounds = compiled(_bounds_inside)
 
 
 def _stretch(positions: FloatArray) -> FloatArray:
-    """Return how many pixels of the image a step on the map takes, along lines and samples."""
+    """Return the pixels of the image in a step on the map, along lines and samples, (2,)."""
     squares = np.zeros(2)
     for axis in (0, 1):
         # Every eighth position is enough: neighbouring tiles are alike.

@@ -59,11 +59,11 @@ def names_of(features: FeatureSet) -> tuple[str, ...]:
 
 @contextmanager
 def claimed(folder: Path, *, overwrite: bool = False) -> Iterator[None]:
-    """Make the folder and keep other processes out of it, or refuse it before a long search.
+    """Make the folder and keep other processes out of it, before a long search begins.
 
-    Refused is one that cannot be made or written to, that another process is at work in, is that
-    of a study, or has a result that may not be replaced, or files that would be replaced and are
-    not those of a result.
+    Raises TermselError for a folder that cannot be made or written to, that another process is at
+    work in, is that of a study, or has a result that may not be replaced, or files that would be
+    replaced and are not those of a result.
     """
     try:
         # The folder may be there: only a result or a study in it is refused.
@@ -85,10 +85,10 @@ def _refuse_taken(folder: Path, overwrite: bool) -> None:
                            file=folder, hint="Choose another --out.")
     # A file of such a name without a record was written by somebody else.
     for name in (POINTS, LINES, RESIDUALS, SUMMARY, CERTIFICATE):
-        if is_there(folder / name) and not is_there(_place(folder, RECORD)):
+        if is_there(folder / name) and not is_there(_path_of_file(folder, RECORD)):
             raise TermselError("the result would replace this file, which is not part of a result",
                                file=folder / name, hint="Choose another --out.")
-    if not overwrite and _place(folder, RECORD).exists():
+    if not overwrite and _path_of_file(folder, RECORD).exists():
         raise TermselError("there is a result in this folder already", file=folder,
                            hint="Choose another --out, or add --overwrite.")
 
@@ -180,8 +180,8 @@ def _cannot_write(folder: Path, error: OSError) -> TermselError:
                              "another --out.")
 
 
-def _place(folder: Path, name: str) -> Path:
-    """Return where a file of the result is: pending, if that is not yet put in place."""
+def _path_of_file(folder: Path, name: str) -> Path:
+    """Return the path of a file of the result: the pending one, if it is not yet in place."""
     # A result that was interrupted while it was put in place is read from where it is complete.
     pending = inside(_pending(folder), name)
     return pending if is_there(pending) else inside(folder, name)
@@ -221,7 +221,7 @@ def read_result(folder: Path | str) -> Result:
     ...     termsel.read_result(out).selection == result.selection
     True
     """
-    path = _place(Path(folder), RECORD)
+    path = _path_of_file(Path(folder), RECORD)
     if not is_there(path):
         raise _no_result(Path(folder), path)
     try:
@@ -275,7 +275,7 @@ def _read_features(folder: Path, record: Record) -> FeatureSet:
     counts = data.counts
     normalise(data.crs)
     # By the record: an earlier result in the same folder may have left a file that this has not.
-    at_lines, at_points = (_place(folder, name) for name in (LINES, POINTS))
+    at_lines, at_points = (_path_of_file(folder, name) for name in (LINES, POINTS))
     for path, count in ((at_lines, counts.lines), (at_points, counts.control + counts.check
                                                    + counts.independent + counts.off)):
         if count and not path.exists():
@@ -301,7 +301,7 @@ def _read_features(folder: Path, record: Record) -> FeatureSet:
 
 
 def _refuse_changed(changed: bool, path: Path) -> None:
-    """Refuse a file that was changed after the run."""
+    """Raise TermselError for a file that was changed after the run."""
     if changed:
         raise TermselError("this file was changed after the run wrote it", file=path,
                            hint="Copy the original folder again, or repeat the run.")

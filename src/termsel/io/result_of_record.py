@@ -30,7 +30,10 @@ AGAIN = "Copy the whole folder again, or repeat the run."
 
 
 def record_from(content: Any) -> Record:
-    """Return the record that result.json holds; refuse what is damaged."""
+    """Return the record in the content of result.json.
+
+    Raises TermselError if it is damaged, or of another version.
+    """
     schema = content.get("schema") if isinstance(content, dict) else None
     if schema != SCHEMA:
         has = f"its schema is {schema!r:.60}" if schema is not None else "it states no schema"
@@ -49,7 +52,7 @@ def record_from(content: Any) -> Record:
 
 
 def _or_of_another(content: dict[str, Any]) -> str:
-    """Return that a record may be of development code: its keys changed from day to day."""
+    """Return a clause that a record may be of development code, whose keys changed; else ""."""
     versions = content.get("versions")
     written = str(versions.get("termsel")) if isinstance(versions, dict) else ""
     return f", or of development code ({printable(written[:40])})" if (
@@ -115,7 +118,7 @@ def _made_of(features: FeatureSet, points: set[str], ids: tuple[str, ...]) -> Fe
 
 
 def _final(record: Record, model: SensorModel, observations: Observations) -> Fit | None:
-    """Return the final fit: of all points with a role but independent outliers."""
+    """Return the final fit: to all points with a role but independent outliers; None without."""
     final = record.final_fit
     if final is None:
         return None
@@ -137,7 +140,7 @@ def _final(record: Record, model: SensorModel, observations: Observations) -> Fi
 
 
 def _estimator(record: Record) -> Estimator | None:
-    """Return the estimator of the method that auto chose, if a plugin provides it."""
+    """Return the estimator of the method that auto chose, None unless a plugin provides it."""
     plugin = record.plugins.get("method")
     if plugin is None:
         return None

@@ -78,7 +78,7 @@ def _spent_before(record: Record) -> dict[str, tuple[str, ...]]:
 
 
 def _independent(points: Points) -> set[tuple[Any, ...]]:
-    """Return the independent points by id and coordinates, whatever else is known of them."""
+    """Return id, image and ground coordinates of the independent points, as a set."""
     ground = np.nan_to_num(points.ground)
     return {(name, *image, *position) for name, role, image, position in zip(
         points.ids, points.roles, points.image.tolist(), ground.tolist(), strict=True)

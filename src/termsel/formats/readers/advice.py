@@ -203,7 +203,7 @@ def _guess(error: TermselError, before: str, guesses: list[str], first_points: l
 
 def _columns_option(columns: Mapping[str, int], header: Sequence[str], aliases: Aliases,
                     fixed: Collection[int]) -> str:
-    """Return the text of --columns for a reading, with ? for what is required and not known."""
+    """Return the text of --columns for a reading, with ? for a required column not known."""
     names = [name.strip() for name in header]
     folded_names = [name.casefold() for name in names]
     pairs = []
@@ -266,7 +266,8 @@ def _missing_pair(path: Path, header: Sequence[str], numeric: Sequence[int],
                   expected: str) -> TermselError | None:
     """Return the error for a table that has image coordinates or ground coordinates alone.
 
-    Where two further columns hold numbers, these may be the other pair under names not known.
+    None for other tables, and where two further columns hold numbers: these may be the other pair
+    under names not known.
     """
     by_name = matches(header, POINTS)
     named = [meaning for meaning, columns in by_name.items() if set(columns) & set(numeric)]
@@ -291,7 +292,7 @@ def _crs_of(comments: Mapping[int, str]) -> str:
 
 
 def _numbers(rows: Sequence[Sequence[str]]) -> dict[int, FloatArray]:
-    """Return the columns that hold numbers alone."""
+    """Return the columns that hold numbers alone, (n,) each, by their index."""
     numbers: dict[int, FloatArray] = {}
     for i, cells in enumerate(zip(*rows, strict=True)):
         try:
@@ -336,11 +337,10 @@ def _readings(rows: Sequence[Sequence[str]], width: int,
 
 
 def _without_scores(values: dict[int, FloatArray]) -> dict[int, FloatArray]:
-    """Return columns without scores between 0 and 1, residuals and whatever else is beside the
-    point.
+    """Return columns without scores from 0 to 1, residuals and the like.
 
-    That is, where more than four are left, what the others do not explain and is within 0 and 1,
-    as no heights are; and where more than five are left, all that they do not explain.
+    Where more than four columns are left, one that the others do not explain and that is within 0
+    and 1, as no heights are, goes; where more than five are left, each that they do not explain.
     """
     if len(values) <= len(_REQUIRED):
         return values

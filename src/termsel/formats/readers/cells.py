@@ -61,7 +61,10 @@ class Cells:
 
 
 def as_cell(value: Any) -> str:
-    """Return a value as the text of a cell; whole numbers, as many ids are, without a point."""
+    """Return a value as the text of a cell, "" for one of pandas that is missing.
+
+    Whole numbers, as many ids are, have no decimal point.
+    """
     if value is None or value != value or str(value) in ("NaT", "<NA>"):  # of pandas
         return ""
     # An id 17 is read by spreadsheets as 17.0.
@@ -157,7 +160,7 @@ def decoded(data: bytes, path: Path, *, final: bool = True) -> tuple[str, str]:
 
 
 def _refuse_wide(path: Path, text: str) -> None:
-    """Refuse what has an endless first row, before its names are compared with those known."""
+    """Raise BadText for an endless first row, before its names are compared with known ones."""
     # Comparing a million names with those that are known would take minutes.
     first = next(_first_lines(text), "")
     cells = max(len(_split_lines(first, delimiter)) for delimiter in _DELIMITERS)
@@ -227,7 +230,7 @@ def _delimiter(text: str, aliases: Aliases, stated: Mapping[str, str]) -> str:
 @lru_cache(64)  # several readers ask about a file, some of them several times
 def _delimiter_of_lines(lines: tuple[str, ...], items: tuple[tuple[str, tuple[str, ...]], ...],
                         stated_items: tuple[tuple[str, str], ...]) -> str:
-    """Return the same for the first lines of a text."""
+    """Return the delimiter of a text by its first lines; "" for spaces."""
     aliases = dict(items)
     stated = dict(stated_items)
     candidates = [(0, 0, 0, ",")]

@@ -92,7 +92,10 @@ def _images_of(columns: Mapping[str, Sequence[str]]) -> list[str]:
 
 
 def _check_pixels(table: Table, features: FeatureSet) -> None:
-    """Say that x and y are read as pixels next to lon and lat, and refuse what can be none."""
+    """Log that x and y are read as pixels next to lon and lat.
+
+    Raises TermselError if they are too large for pixels.
+    """
     # Tables of GIS have x and y on the ground, tables of viewers in the image: next to lon and lat
     # they can only be the latter.
     if [table.names.get(meaning, "").strip().casefold() for meaning in ("sample", "line")] \
@@ -177,7 +180,7 @@ def points_text(points: Points, crs: str, image_size: tuple[int, int] | None = N
 
 
 def point_columns(points: Points) -> tuple[list[str], FloatArray]:
-    """Return the columns of numbers that hold points in a table, headings and values."""
+    """Return headings and values, (n, k), of the columns of numbers that hold points in a table."""
     header = ["line", "sample", "x", "y", "z"]
     columns = [points.image, points.ground]
     if points.sigma is not None:
@@ -225,7 +228,7 @@ def lines_text(lines: Lines, crs: str, image_size: tuple[int, int] | None = None
 
 
 def line_columns(lines: Lines) -> tuple[list[str], FloatArray]:
-    """Return the columns of numbers that hold lines in a table, headings and values."""
+    """Return headings and values, (n, k), of the columns of numbers that hold lines in a table."""
     header = ["line1", "sample1", "line2", "sample2", "x1", "y1", "z1", "x2", "y2", "z2"]
     columns = [lines.image.reshape(-1, 4), lines.ground.reshape(-1, 6)]
     if lines.sigma is not None:

@@ -147,7 +147,10 @@ def _join_image_lines(path: Path, features: list[Feature], crs: str, image_lines
 
 def _pieces(name: str, image: list[FloatArray], ground: list[FloatArray],
             ) -> Iterable[tuple[FloatArray, FloatArray]]:
-    """Yield image and ground of the pieces of one feature."""
+    """Yield image and ground, (2, 2) and (2, 3), of the pieces of one feature.
+
+    Raises TermselError for a line of zero length, and for pieces that do not match.
+    """
     if any(len(vertices) < 2 for vertices in ground):
         raise TermselError(f"line {name!r} has zero length on the ground", ids=[name],
                            hint="A control line needs two different points.")
@@ -172,7 +175,7 @@ def _pieces(name: str, image: list[FloatArray], ground: list[FloatArray],
 
 
 def _distinct(vertices: FloatArray) -> FloatArray:
-    """Return vertices without repetitions of the previous one."""
+    """Return vertices (n, 3) without those at the X and Y of the previous one."""
     # A vertex that is there twice would give a segment without a direction.
     moved = (vertices[1:, :2] != vertices[:-1, :2]).any(axis=1)
     return np.asarray(vertices[np.concatenate([[True], moved])])
@@ -190,7 +193,10 @@ def _read_image_lines(path: Path) -> dict[str, list[FloatArray]]:
 
 
 def _image_lines_of_ji(feature: Feature) -> list[FloatArray]:
-    """Return the image lines along the property ji."""
+    """Return the image lines, (2, 2) each, along the property ji.
+
+    Raises TermselError if it has fewer than two vertices.
+    """
     ji = feature.pixels()
     if not numbers_at(ji, 1, (2,)) or len(ji) < 2:
         raise feature.error(

@@ -78,6 +78,6 @@ def _lists(tree: object) -> Iterator[list[Mapping[str, Any]]]:
 
 
 def _flat(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return an object with the values of its attributes as its own."""
+    """Return an object whose "attributes" are keys of its own; others stay as they are."""
     attributes = record.get("attributes")
     return {**record, **attributes} if isinstance(attributes, dict) else dict(record)

@@ -62,7 +62,7 @@ class QgisPoints(TableReader):
                           image_size=size)
 
     def _image(self, table: Table) -> tuple[FloatArray, tuple[int, int] | None]:
-        """Return line and sample, and the size of the image where it is known."""
+        """Return line and sample, (n, 2), and the size of the image, None if it is not known."""
         source = table.stack("source_x", "source_y")
         if self.options["downwards"]:
             pixels = _pixels(source, downwards=True)
@@ -74,10 +74,10 @@ class QgisPoints(TableReader):
         return pixels, None
 
     def _in_image(self, table: Table, source: FloatArray) -> tuple[FloatArray, tuple[int, int]]:
-        """Return line and sample in the given image, and its size.
+        """Return line and sample in the given image, (n, 2), and its size.
 
-        Of what the columns may hold, map coordinates of the image, pixels upwards or downwards, it
-        is what most points lie in the image by; of equals the one that QGIS writes.
+        The columns may hold map coordinates of the image, or pixels upwards or downwards. The
+        reading by which most points lie in the image counts; of equals the one that QGIS writes.
         """
         with open_raster(Path(self.options["raster"])) as raster:
             size = raster.shape
@@ -106,7 +106,7 @@ def _pixels(source: FloatArray, downwards: bool = False) -> FloatArray:
 
 
 def _count_inside(pixels: FloatArray, size: tuple[int, int]) -> int:
-    """Return how many points lie in an image of so many lines and samples, or at its edge."""
+    """Return how many points (n, 2) lie in an image of a size [px], or at its edge."""
     inside = (pixels >= -0.5 - EDGE_MARGIN) & (pixels <= np.array(size) - 0.5 + EDGE_MARGIN)
     return int(inside.all(axis=1).sum())
 

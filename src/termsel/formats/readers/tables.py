@@ -170,7 +170,10 @@ class Table:
         return roles
 
     def sigma(self, *meanings: str) -> FloatArray | None:
-        """Return columns of standard deviations, None if there are none."""
+        """Return columns of standard deviations, (n, k); None without them, or if all are blank.
+
+        Raises TermselError if only some cells are blank.
+        """
         if meanings[0] not in self.columns:
             return None
         sigma = self.stack(*meanings, may_be_blank=True)
@@ -186,12 +189,12 @@ class Table:
         return sigma
 
     def stack(self, *meanings: str, may_be_blank: bool = False) -> FloatArray:
-        """Return columns of numbers side by side; heights may always be blank."""
+        """Return columns of numbers side by side, (n, k); heights may always be blank."""
         return np.column_stack([self._numbers(meaning, may_be_blank or meaning[0] == "z")
                                 for meaning in meanings])
 
     def _numbers(self, meaning: str, may_be_blank: bool) -> FloatArray:
-        """Return the numbers of a column by its meaning; errors name line and column."""
+        """Return the numbers of a column by its meaning, (n,); errors name line and column."""
         # A table without heights has none for any row.
         if meaning not in self.columns and meaning[0] == "z":
             return np.full(len(self.lines), np.nan)
@@ -207,7 +210,7 @@ class Table:
         return numbers
 
     def _refuse_voids(self, heights: FloatArray, meaning: str) -> None:
-        """Raise a TermselError for what rasters of heights have where there is none."""
+        """Raise a TermselError for heights that stand for none in rasters, such as -9999."""
         voids = np.flatnonzero(np.isin(heights, VOID_HEIGHTS))
         if len(voids):
             further = f", as in {amount(len(voids), 'row')}" if len(voids) > 1 else ""
@@ -217,7 +220,8 @@ class Table:
 
 
 def points_of(table: Table, crs: str) -> FeatureSet:
-    """Return the points of a table; errors name the place of what cannot be read."""
+    """Return the points of a table; raises TermselError, with the cell, for one that is no number.
+    """
     image = table.stack("line", "sample")
     ground = table.stack("x", "y", "z")
     sigma = table.sigma("sigma_line", "sigma_sample")
@@ -308,7 +312,7 @@ def _column_by_meaning(path: Path | None, line: int | None, header: Sequence[str
                 raise TermselError(f"{other} needs the column {meaning} beside it", file=path,
                                    line=line, column=meaning,
                                    hint=f"Add {meaning}, or remove {other}.")
-            error = _missing(path, line, header, meaning, aliases)
+            error = _missing_column_error(path, line, header, meaning, aliases)
             raise with_advice(error, header, rows,
                               {**last_by_name, **stated}, aliases, fixed)
     # Said once the table can be read: the columns of one that cannot are looked for again.
@@ -344,8 +348,8 @@ def _ambiguous(path: Path | None, line: int | None, header: Sequence[str], meani
                         hint="Rename or remove all but one of them.")
 
 
-def _missing(path: Path | None, line: int | None, header: Sequence[str], meaning: str,
-             aliases: Aliases) -> TermselError:
+def _missing_column_error(path: Path | None, line: int | None, header: Sequence[str], meaning: str,
+                          aliases: Aliases) -> TermselError:
     """Return the error for a meaning that no column has."""
     if meaning == "x1" and "line1" in {cell.strip().casefold() for cell in header}:
         return TermselError(
@@ -415,7 +419,7 @@ def _declared_crs(path: Path | None, comments: Mapping[int, str]) -> str:
 
 
 def _declared_size(comments: Mapping[int, str]) -> tuple[int, int] | None:
-    """Return lines and samples of the image, if a comment declares them."""
+    """Return lines and samples of the image, if a comment declares them; else None."""
     for comment in comments.values():
         declared = _IMAGE_SIZE.fullmatch(comment.strip())
         if declared and int(declared[1]) and int(declared[2]):
@@ -535,7 +539,10 @@ def _further(header: Sequence[str], used: Collection[int]) -> dict[str, int]:
 
 
 def _signs(table: Table, decimal: str | None, *, points_only: bool) -> dict[str, str]:
-    """Return the decimal sign of each column of numbers, and say what was decided."""
+    """Return the decimal sign of each column of numbers; log how an open one was decided.
+
+    Raises TermselError where nothing decides it.
+    """
     columns = {meaning: cells for meaning, cells in table.columns.items() if meaning not in USE}
     stated_sign = {"comma": COMMA, "point": POINT}.get(decimal or "", "")
     try:

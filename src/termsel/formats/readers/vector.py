@@ -98,7 +98,7 @@ def _layers(path: Path) -> dict[str, str]:
 
 def _layer(path: Path, layer: str | None, columns: list[str] | None,
            ) -> tuple[dict[str, Any], Any, list[Any]]:
-    """Return what is known of a layer, its geometries and its columns, in that process."""
+    """Return metadata of a layer, its geometries and its columns; called in GDAL's process."""
     from pyogrio.raw import read
 
     with _by_allowed_drivers(path) as name:
@@ -126,7 +126,7 @@ def _by_allowed_drivers(path: Path) -> Iterator[Path]:
 
 
 def _turn_off_drivers() -> None:
-    """Leave GDAL, of which this process has its own, the drivers that may open vector files."""
+    """Leave the GDAL of this process only the drivers that may open vector files."""
     from pyogrio import core, list_drivers, set_gdal_config_options
 
     # All but the allowed ones: a new version of GDAL may have new drivers.
@@ -139,9 +139,9 @@ def _turn_off_drivers() -> None:
 
 
 def _link_into_folder(path: Path, folder: Path) -> Path:
-    """Link a file into a folder, where GDAL may write next to it what it likes.
+    """Link a file into a folder, where GDAL may write files next to it; return the link.
 
-    A Shapefile has further files of its name; what is next to another file is not read.
+    With a Shapefile go its further files of the same name; no others are read.
     """
     # pyogrio cannot pass on names that are no UTF-8.
     name = folder / path.name.encode(errors="replace").decode()

@@ -51,7 +51,7 @@ class RpcWriter(Writer):
         return normalise(result.fit.control.crs) != LOCAL
 
     def write(self, result: Result, path: Path) -> None:
-        """Write the RPC of a result, after GDAL or termsel has read it back and found the same."""
+        """Write the RPC of a result, after it was read back and found the same."""
         image = self.options["image"]
         if image is not None:
             # An RPC is scaled to the size of its image, which files of points do not state.
@@ -73,7 +73,7 @@ class RpcWriter(Writer):
                          f"heights from {heights[0]:g} to {heights[1]:g}"))
 
     def _heights(self) -> tuple[float, float] | None:
-        """Return the least and the largest height that are asked for.
+        """Return the least and the largest height of the option `heights`; None without it.
 
         Raises TermselError if these are no two numbers in this order.
         """

@@ -43,7 +43,7 @@ def _features_in_adjustment(result: Result) -> set[str]:
 
 
 def _chosen(result: Result) -> BoolArray:
-    """Return which of all points are in the adjustment."""
+    """Return which of all n points are in the adjustment, (n,)."""
     return np.isin(result.features.points.ids, list(_features_in_adjustment(result)))
 
 
@@ -61,7 +61,10 @@ def gcps_of(result: Result) -> tuple[Points, Points, str]:
 
 
 def _errors(result: Result) -> FloatArray:
-    """Return measured minus computed line and sample of all points; NaN where not computed."""
+    """Return measured minus computed line and sample of all points, (n, 2) [px].
+
+    NaN where a height that the model uses is not known.
+    """
     points = result.features.points
     errors = np.asarray(result.fit.errors(points))
     if result.fit.model.uses_height:
