@@ -243,7 +243,8 @@ def main() -> None:
 Made by `python -m benchmarks.coverage --write`: {asked.splits} splits of each set and number of
 points, up to 300 independent check points. A cell says in how many splits the interval
 holds the RMSE of just these independent check points with a chance of
-{100 * CONFIDENCE:.0f} %: it knows their number, and what so few of them add is part of its width. Splits that leave fewer than 20
+{100 * CONFIDENCE:.0f} %: it knows their number, and what so few
+of them add is part of its width. Splits that leave fewer than 20
 independent check points are left out, as are those with too few points to repeat the choice.
 
 The first sets were drawn for this page: images of seven cameras with new seeds, two of them looking
@@ -254,7 +255,8 @@ The embedded scenes are simulated. The other sets are derived from sensor models
 The interval has no constant that was fitted to any set. Its width has three sources: few squared
 errors, coefficients that few points determine, and solutions that disagree
 ([how](../explanation/auto-accuracy.md#its-interval)). Which sources it has was decided on other
-splits of the embedded, derived and measured sets. A standard error is that of a share; splits of a measured
+splits of the embedded, derived and measured sets. A standard error is that of a share;
+splits of a measured
 set have points in common, so that it is rather larger.
 
 ## Requirement and measurement
@@ -264,7 +266,8 @@ set have points in common, so that it is rather larger.
 ## Sigma
 
 `Fit.sigma` of the chosen fit at the independent check points, with the noise of a measurement
-there. Of right deviations of normal errors 68 % lie within one and 90 % within 1.645. Points are inside or
+there. Of right deviations of normal errors 68 % lie within one and 90 % within 1.645.
+Points are inside or
 outside the hull of the control.
 
 {of_sigma(cases, asked.counts)}
