@@ -28,7 +28,8 @@ _WINDOWS = sys.platform == "win32"
 
 
 def own_environment():
-    """Return the folder of the environment that 'Set up termsel' makes."""
+    """Return the folder of the environment that 'Set up termsel' makes, whether it exists or not.
+    """
     return Path(QgsApplication.qgisSettingsDirPath()) / "termsel-environment"
 
 
@@ -59,13 +60,13 @@ def executable():
 
 
 def command_in(environment, name="termsel"):
-    """Return where a virtual environment has a command."""
+    """Return the path that a command of this name has in a virtual environment, there or not."""
     suffix = ".exe" if _WINDOWS else ""
     return environment / ("Scripts" if _WINDOWS else "bin") / f"{name}{suffix}"
 
 
 def clean_environment():
-    """Return the environment variables without those of QGIS's Python."""
+    """Return the environment variables, as a new dict, without those of QGIS's own Python."""
     variables = {name: value for name, value in os.environ.items() if name not in _REMOVED}
     variables["PYTHONIOENCODING"] = "utf-8"
     # Modules of the folder of a project are not Python's own.
@@ -112,14 +113,14 @@ def run(arguments, feedback, program=None, show=False):
     while process.poll() is None or any(reader.is_alive() for reader in readers):
         if feedback.isCanceled():
             _end(process)
-            _remove_left(process.pid, command)
+            _remove_leftovers(process.pid, command)
             raise QgsProcessingException("Cancelled; nothing was written.")
-        _show(messages, feedback, lines)
+        _forward_messages(messages, feedback, lines)
         if QThread.currentThread() == QCoreApplication.instance().thread():
             # A batch runs here: its button Cancel must work.
             QCoreApplication.processEvents()
         time.sleep(0.05)
-    _show(messages, feedback, lines)
+    _forward_messages(messages, feedback, lines)
     if process.returncode:
         # From the first line with "Error:" on, else the last three lines.
         first = next((at for at, line in enumerate(lines) if line.startswith("Error:")), -3)
@@ -129,14 +130,17 @@ def run(arguments, feedback, program=None, show=False):
 
 
 def _read(stream, take):
-    """Take the lines of a stream as they come."""
+    """Call `take` with each line of a stream as it comes, and close the stream at its end."""
     with stream:
         for line in stream:
             take(line)
 
 
-def _show(messages, feedback, lines):
-    """Show what has been said since."""
+def _forward_messages(messages, feedback, lines):
+    """Take the waiting messages: progress to the bar, all others to the log.
+
+    The others are appended to `lines`, too; errors only there, as the exception shows them.
+    """
     while not messages.empty():
         line = messages.get().rstrip()
         # Lines of --progress json are for the progress bar, all others for the log.
@@ -156,8 +160,11 @@ def _show(messages, feedback, lines):
                 feedback.pushInfo(line)
 
 
-def _remove_left(number, command):
-    """Remove the folders in which a process that was killed had begun to write."""
+def _remove_leftovers(number, command):
+    """Remove the folders in which a process that was killed had begun to write.
+
+    `number` is that of the process, `command` its arguments, whose folders are searched.
+    """
     # Folders in which a command writes are those of its files; the number is that of its process.
     for folder in {Path(argument).absolute().parent for argument in command[1:]}:
         for leftover in folder.glob(f".termsel-*-{number}-*"):
@@ -165,7 +172,7 @@ def _remove_left(number, command):
 
 
 def _end(process):
-    """End a process and those that it began."""
+    """End a process and those that it began: by Ctrl-C, and by force if that takes too long."""
     if _WINDOWS:
         taskkill = Path(os.environ["SYSTEMROOT"]) / "System32" / "taskkill.exe"
         subprocess.run(  # nosec B603: of Windows itself

@@ -46,7 +46,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
         begun.asked = begun.version
         for answer in judged(Question(begun.version, begun.control.features("EPSG:25832"),
                                       begun.size)):
-            begun.answered(answer)
+            begun.keep_answer(answer)
             if begun.prediction is not None:
                 break
         yield begun
@@ -103,7 +103,7 @@ def test_three_points_predict_with_an_uncertainty(session: Session, tmp_path: Pa
         for line, sample in ((60, 60), (70, 430), (420, 80)):
             begun.put({"image": [float(line), sample + 0.5], "map": place(line, sample)})
         begun.asked = begun.version
-        begun.answered(next(iter(judged(Question(
+        begun.keep_answer(next(iter(judged(Question(
             begun.version, begun.control.features("EPSG:25832"), begun.size)))))
         there = begun.predict(image=[300.0, 300.0])
     assert there is not None

@@ -95,11 +95,18 @@ def app(image: str | None, maps: tuple[str, ...], points: Path | None, lines: Pa
 
 
 def _name(path: Path | None) -> str | None:
+    """Return a path as text; None stays None."""
     return None if path is None else str(path)
 
 
 def found(files: Files, folder: Path | None) -> tuple[Files, Path]:
-    """Return the files of a session and its folder, where the first argument may be either."""
+    """Return the files of a session and the folder of its journal.
+
+    The first argument of the command, `files.image`, may be an image, the folder of a session or
+    that of a result. Without `folder`, a session is kept in its own; that of an image or a
+    result begins in a folder beside it, NAME-control. Raises TermselError for a folder that is
+    neither.
+    """
     from dataclasses import replace
 
     from termsel_app.iiif import is_iiif
@@ -116,21 +123,27 @@ def found(files: Files, folder: Path | None) -> tuple[Files, Path]:
         return replace(before, maps=before.maps + files.maps), folder or path
     if (path / "result.json").exists():
         beside = path.with_name(f"{path.name}-control")
-        return of_result(path, files), folder or by_default(beside)
+        return files_of_result(path, files), folder or by_default(beside)
     raise TermselError("this folder contains neither a session nor a result", file=path,
                        hint="Give an image, or the folder that `termsel app` or `termsel run "
                             "--out` wrote.")
 
 
 def by_default(name: Path | str) -> Path:
-    """Return the folder of a session whose name the user did not type: so it is no link."""
+    """Return the path of a session's folder that the user did not type.
+
+    Raises TermselError if it is a symbolic link, which somebody else may have laid there.
+    """
     folder = Path(name)
     refuse_link(folder)
     return folder
 
 
-def of_result(folder: Path, files: Files) -> Files:
-    """Return the files that show a result: its points and lines, without the image."""
+def files_of_result(folder: Path, files: Files) -> Files:
+    """Return `files` with the points, lines, CRS and size of the result in a folder, and no image.
+
+    Maps, RPC and DEM stay. Raises TermselError if the result cannot be read.
+    """
     from dataclasses import replace
 
     from termsel import read_result
@@ -143,7 +156,10 @@ def of_result(folder: Path, files: Files) -> Files:
 
 
 def example_files(files_given: Files, folder: Path | None) -> tuple[Files, Path]:
-    """Write the files of the tutorial, unless they are there, and return those of its scene."""
+    """Write the files of the tutorial, unless they are there.
+
+    Returns `files_given` with image, map, DEM and CRS of its scene, and the folder of the session.
+    """
     from dataclasses import replace
 
     from termsel.toolkit.files import write_example

@@ -145,9 +145,13 @@ def resampled(raster: Raster, lines: Any, samples: Any) -> Pixels:
 
 
 def box_of(xy: FloatArray) -> Box:
-    """Return the extent of places, those left out that are nowhere."""
+    """Return (x min, y min, x max, y max) of places (n, 2), without those that are not finite.
+
+    The unit square if none is left.
+    """
     xy = xy[np.isfinite(xy).all(axis=1)]
     if not len(xy):
+        # A map without a place needs some extent all the same, for its tiles have a size.
         return (0.0, 0.0, 1.0, 1.0)
     low = xy.min(axis=0)
     high = xy.max(axis=0)
@@ -155,7 +159,7 @@ def box_of(xy: FloatArray) -> Box:
 
 
 def around(boxes: Sequence[Box]) -> Box:
-    """Return the extent of all boxes."""
+    """Return the smallest box (x min, y min, x max, y max) that holds all boxes, one or more."""
     values = np.array(boxes)
     low = values[:, :2].min(axis=0)
     high = values[:, 2:].max(axis=0)

@@ -44,13 +44,17 @@ class Prediction:
         return control
 
     def height(self) -> float:
-        """Return the median height of the control; 0 where heights are not known."""
+        """Return the median height of the control [m]; 0 where no height is known."""
         heights = self._control.ground_vertices()[:, 2]
         return float(np.median(heights[np.isfinite(heights)])) if np.isfinite(heights).any() \
             else 0.0
 
     def ground(self, xy: Any) -> FloatArray:
-        """Return the places that the model takes (n, 3) for places on the map (n, 2)."""
+        """Return the ground coordinates (n, 3) that the model takes for places on the map (n, 2).
+
+        Where the DEM has no height, it is the median of the control; 0 for a model of the map
+        itself.
+        """
         if self.in_map:
             xy = np.asarray(xy, dtype=np.float64).reshape(-1, 2)
             return np.column_stack([xy, np.zeros(len(xy))])
@@ -74,13 +78,14 @@ class Prediction:
         surface = self._surface if self.places.has_heights and not self.in_map else self.height()
         ground = self.result.locate(image, surface)
         finite = np.isfinite(ground[:, :2]).all(axis=1)
-        on_map = np.full((len(image), 2), np.nan)
+        xy = np.full((len(image), 2), np.nan)
         if finite.any():
-            on_map[finite] = ground[finite, :2] if self.in_map \
+            xy[finite] = ground[finite, :2] if self.in_map \
                 else self.places.to_map(ground[finite])
-        return on_map
+        return xy
 
     def _surface(self, xy: FloatArray) -> FloatArray:
+        """Return heights of ground places (n, 2) by the DEM; by the control where that has none."""
         heights = self.places.heights(np.asarray(xy, dtype=np.float64))
         return np.where(np.isfinite(heights), heights, self.height())
 
@@ -90,28 +95,39 @@ class Prediction:
         return sigma
 
     def in_image(self, xy: Sequence[float]) -> dict[str, Any] | None:
-        """Return where a place of the map is in the image, and the ellipse that nine in ten hold.
+        """Return where a place of the map (x, y) lies in the image; None where the model sees none.
+
+        `place` is its line and sample, `sigma` the standard deviation of both together [px], None
+        if it is not known, and `ring` the ellipse (lines and samples) within which nine in ten true
+        places lie; empty if sigma is not known.
         """
         position = self.to_image([xy])[0]
         if not np.isfinite(position).all():
             return None
         return {"place": position.tolist(), "ring": _finite(_ring(position, self.sigma([xy])[0])),
-                "sigma": _known(self.sigma([xy])[0])}
+                "sigma": _length_if_finite(self.sigma([xy])[0])}
 
     def on_map(self, image: Sequence[float]) -> dict[str, Any] | None:
-        """Return where a place of the image is on the map, likewise."""
+        """Return where a place of the image (line, sample) lies on the map; None if nowhere.
+
+        `place` is its x and y, `sigma` the standard deviation of line and sample together [px, in
+        the image], None if it is not known, and `ring` the ellipse of the image within which nine
+        in ten true places lie, carried to the map; empty if sigma is not known or the ellipse
+        leaves the map.
+        """
         position = self.to_map([image])[0]
         if not np.isfinite(position).all():
             return None
         sigma = self.sigma([position])[0]
         ring = _ring(np.asarray(image, dtype=np.float64), sigma)
-        return {"place": position.tolist(), "sigma": _known(sigma),
+        return {"place": position.tolist(), "sigma": _length_if_finite(sigma),
                 "ring": _finite(self.to_map(ring)) if np.isfinite(ring).all() else []}
 
 
 def _ring(centre: FloatArray, sigma: FloatArray) -> FloatArray:
     # Errors of both axes are independent and normal: nine in ten lie within sqrt(2 ln 10) = 2.15
     # standard deviations.
+    """Return the ellipse (m, 2) around a place that holds nine in ten errors of `sigma` (2,)."""
     radius = NINE_IN_TEN * sigma
     circle = np.column_stack([np.sin(_TURN), np.cos(_TURN)])
     ring: FloatArray = centre + radius * circle
@@ -119,19 +135,23 @@ def _ring(centre: FloatArray, sigma: FloatArray) -> FloatArray:
 
 
 def _finite(ring: FloatArray) -> list[list[float]]:
+    """Return a ring as lists; an empty one if any vertex is not finite."""
     return ring.tolist() if np.isfinite(ring).all() else []
 
 
-def _known(sigma: FloatArray) -> float | None:
+def _length_if_finite(sigma: FloatArray) -> float | None:
+    """Return the standard deviation of both coordinates together; None if it is not finite."""
     value = float(np.hypot(*sigma))
     return value if np.isfinite(value) else None
 
 
 def prediction_of(result: Result, features: FeatureSet, places: Places) -> Prediction:
-    """Return the prediction by a result, or by a similarity of the map where it knows no errors.
+    """Return the prediction by a result, or by a similarity of the map if the result has no errors.
 
-    Three points determine an affine polynomial without any redundancy; the four parameters of a
-    similarity leave two equations, which show how far the points are from one.
+    A result has no error estimate (its sigma is NaN) where its equations have no redundancy, such
+    as those of three points and an affine polynomial. Then a `helmert2d` fit of the points to map
+    coordinates stands in: its four parameters leave two equations of six, which tell how far the
+    points are from a similarity. If that fit fails, it is the result again.
     """
     points = features.points
     if len(points) >= 3 and not np.isfinite(result.sigma(points.ground[:1])).all():
@@ -140,8 +160,10 @@ def prediction_of(result: Result, features: FeatureSet, places: Places) -> Predi
         ground = np.column_stack([plane, np.full(len(used), np.nan)])
         flat = termsel.Points(used.ids, used.image, ground)
         try:
-            return Prediction(termsel.fit(replace(features, points=flat, crs="local", rpc=None),
-                                          "helmert2d"), places, in_map=True)
-        except TermselError:  # a mirrored image is no similarity of the map
-            return Prediction(result, places)
+            similarity = termsel.fit(replace(features, points=flat, crs="local", rpc=None),
+                                     "helmert2d")
+            return Prediction(similarity, places, in_map=True)
+        except TermselError:
+            # A mirrored image is no similarity of the map: the result's own model has to do.
+            pass
     return Prediction(result, places)

@@ -240,18 +240,24 @@ class Session:
                 # What termsel refuses is an answer, too: the user corrects it on the page.
                 features = self.control.features(self.places.crs)
             except TermselError as error:
-                self.answered({"serial": self.version, "stage": "refused", "text": f"{error.what}.",
-                               "hint": error.hint or "", "ids": list(error.ids)})
+                self.keep_answer({
+                    "serial": self.version, "stage": "refused", "text": f"{error.what}.",
+                    "hint": error.hint or "", "ids": list(error.ids)})
                 return
             self.worker.ask(Question(
                 self.version, features, self.size,
                 None if self.files.rpc is None else Path(self.files.rpc),
                 None if self.files.dem is None else Path(self.files.dem)))
 
-    def answered(self, answer: Answer) -> None:
-        """Keep an answer of the worker, and notify the pages."""
-        # Answers to earlier questions are of points that have moved since.
+    def keep_answer(self, answer: Answer) -> None:
+        """Keep an answer of the worker in place of earlier ones, and tell the pages.
+
+        `answer` is changed: its `result` is taken out, and its next points get their place on the
+        `map`. An answer to any question but the last is passed over.
+        """
         with self.lock:
+            # Answers to earlier questions are of points that have moved since; -1 is a failure of
+            # the worker itself, which belongs to no question.
             if answer["serial"] not in (self.asked, -1):
                 return
             # A result stays in this process; pages get its figures.
@@ -519,7 +525,7 @@ def open_session(files: Files, folder: Path, *, remote: bool = False,
         if features is not None:
             # Through the journal, so that reading them can be undone.
             session.change([Patch(None, record) for record in records_of(features)])
-        worker.tell = session.answered
+        worker.tell = session.keep_answer
         # Only now: changes above would be judged while the session is half made.
         session.worker = worker
         session.judge()

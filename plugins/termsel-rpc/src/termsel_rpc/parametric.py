@@ -32,14 +32,19 @@ def along_lines(features: FeatureSet, ends: FloatArray, columns: FloatArray,
     # A term moves the place by that of P and Q, as far as t says.
     moved = (1 - t)[..., None] * columns[:, :1] + t[..., None] * columns[:, 1:]
     rows = np.einsum("iea,ieak->iek", np.broadcast_to(normal, lines.image.shape), moved)
-    weight = _weights(features)[:, None]
+    weight = _line_weights(features)[:, None]
     return (rows * weight[..., None]).reshape(away.size, -1), (away * weight).ravel()
 
 
-def _weights(features: FeatureSet) -> FloatArray:
-    """Return the median standard deviation of all control over that of each line, shape (n,)."""
+def _line_weights(features: FeatureSet) -> FloatArray:
+    """Return the median standard deviation of all control over that of each line, shape (n,).
+
+    Ones if lines have no standard deviations.
+    """
     lines = features.lines
     if lines.sigma is None:
         return np.ones(len(lines))
+    # By the median of points and lines together, weights are about 1: rows stay in the unit of the
+    # image.
     stated = [sigma.ravel() for sigma in (features.points.sigma, lines.sigma) if sigma is not None]
     return np.asarray(np.median(np.concatenate(stated)) / lines.sigma)

@@ -84,7 +84,8 @@ def running_times(groups: Groups, column: int) -> Figure:
     rows += [{"method": method, "budget": budget, "share": 0.0} for method in groups.methods
              if method not in ends for budget in (first, last)]
     unit = "CPU seconds" if column else "evaluations, with local refinement"
-    drawn = _shares(rows, groups.methods, "budget:Q", unit, "share of runs and targets reached")
+    drawn = _share_chart(rows, groups.methods, "budget:Q", unit,
+                         "share of runs and targets reached")
     return Figure(
         "ecdf-cpu-seconds" if column else "ecdf-evaluations",
         f"Running times in {'CPU seconds' if column else 'evaluations'}",
@@ -92,13 +93,17 @@ def running_times(groups: Groups, column: int) -> Figure:
         "or the best value found.", drawn)
 
 
-def _shares(rows: list[dict[str, Any]], methods: tuple[str, ...], x: str, of_x: str,
-            of_shares: str) -> Any:
-    """Return a chart of the shares that methods reach, as steps over a logarithmic axis."""
+def _share_chart(rows: list[dict[str, Any]], methods: tuple[str, ...], x_field: str, x_title: str,
+                 y_title: str) -> Any:
+    """Return a chart of the shares that methods reach, as steps over a logarithmic axis.
+
+    Each row has its `method`, its `share` (0 to 1) and the field that `x_field` encodes, such as
+    "budget:Q".
+    """
     alt = require_altair()
     return alt.Chart(chart_rows(rows)).mark_line(interpolate="step-after").encode(
-        x=alt.X(x, title=f"{of_x}, logarithmic", scale=alt.Scale(type="log", nice=False)),
-        y=alt.Y("share:Q", title=of_shares, scale=alt.Scale(domain=[0, 1]),
+        x=alt.X(x_field, title=f"{x_title}, logarithmic", scale=alt.Scale(type="log", nice=False)),
+        y=alt.Y("share:Q", title=y_title, scale=alt.Scale(domain=[0, 1]),
                 axis=alt.Axis(format="%")),
         **_styles_by_method(methods)).properties(width=WIDTH, height=0.55 * WIDTH)
 
@@ -148,8 +153,8 @@ def profile(groups: Groups) -> Figure:
     for ratio, of_methods in zip(ratios, shares, strict=True):
         rows += [{"method": method, "ratio": float(ratio), "share": float(share)}
                  for method, share in zip(groups.methods, of_methods, strict=True)]
-    drawn = _shares(rows, groups.methods, "ratio:Q", "ratio to the best median of the instance",
-                    "share of instances")
+    drawn = _share_chart(rows, groups.methods, "ratio:Q",
+                         "ratio to the best median of the instance", "share of instances")
     return Figure("performance-profile", "Performance profile", "At the left end: how often a "
                   "method is the best. Further right: how often it is within that ratio of the "
                   "best.", drawn)

@@ -138,7 +138,10 @@ def critical_difference(methods: int, instances: int, level: float = SIGNIFICANC
 
 
 def effect_size(first: Sequence[float], second: Sequence[float]) -> float:
-    """Return how probably a run of one method is lower than one of the other; 0.5 if alike."""
+    """Return the probability that a value of `first` is below one of `second`, ties counted half.
+
+    0.5 if both are alike; above it, `first` is the better one where lower is better.
+    """
     # Ties count half: Vargha and Delaney 2000, J. Educ. Behav. Stat. 25(2), equation 2, for values
     # of which lower ones are better.
     a = np.asarray(first)[:, None]

@@ -116,7 +116,7 @@ def measured_names(pattern: str = "") -> list[str]:
     TermselError
         If there is none.
     """
-    names = [name for name in _files() if pattern in name]
+    names = [name for name in _source_and_file_by_set() if pattern in name]
     if not names:
         raise TermselError(f"there is no measured set {pattern!r}",
                            hint=f"Kinds are {', '.join(source.kind for source in SOURCES)}.")
@@ -132,9 +132,9 @@ def measured(name: str) -> MeasuredSet:
     TermselError
         If there is none of the name, or its file is not the published one.
     """
-    if name not in _files():
-        raise unknown_name("set", name, _files())
-    source, file = _files()[name]
+    if name not in _source_and_file_by_set():
+        raise unknown_name("set", name, _source_and_file_by_set())
+    source, file = _source_and_file_by_set()[name]
     meta = _meta(source.folder)
     content = _text(source.folder, file)
     checksum = hashlib.sha256(content.encode()).hexdigest()
@@ -157,14 +157,14 @@ def measured(name: str) -> MeasuredSet:
 def checksums_of_measured() -> dict[str, str]:
     """Return the published SHA-256 of the points of each set."""
     return {name: _meta(source.folder)["sha256"][file]
-            for name, (source, file) in _files().items()}
+            for name, (source, file) in _source_and_file_by_set().items()}
 
 
 def published_files(names: Sequence[str]) -> dict[str, str]:
     """Return the files of some sets as they were published, by folder and name, with the folds."""
     found: dict[str, str] = {}
     for source in SOURCES:
-        files_of_source = [file for name, (its, file) in _files().items()
+        files_of_source = [file for name, (its, file) in _source_and_file_by_set().items()
                            if its == source and name in names]
         if not files_of_source:
             continue
@@ -172,17 +172,20 @@ def published_files(names: Sequence[str]) -> dict[str, str]:
         for file in (*files_of_source, *extra, "LICENSE", "meta.json"):
             found[f"{source.folder}/{file}"] = _text(source.folder, file)
     folds = json.loads(_text("", FOLDS))
-    found[FOLDS] = json.dumps({name: {
-        "file": f"{_files()[name][0].folder}/{_files()[name][1]}", "fold": folds[name]}
-        for name in names}, indent=1) + "\n"
+    fold_by_set = {}
+    for name in names:
+        source, file = _source_and_file_by_set()[name]
+        fold_by_set[name] = {"file": f"{source.folder}/{file}", "fold": folds[name]}
+    found[FOLDS] = json.dumps(fold_by_set, indent=1) + "\n"
     return found
 
 
 @lru_cache(maxsize=1)
-def _files() -> Mapping[str, tuple[Source, str]]:
-    """Return source and file of each set by its name."""
+def _source_and_file_by_set() -> Mapping[str, tuple[Source, str]]:
+    """Return the source and the file of points of each set, by the name of the set."""
     found: dict[str, tuple[Source, str]] = {}
     for source in SOURCES:
+        # Sets are kind-001, ... in the order of file names; photos.csv holds no points.
         of_points = sorted(file for file in _meta(source.folder)["sha256"] if file != "photos.csv")
         for number, file in enumerate(of_points, 1):
             found[f"{source.kind}-{number:03d}"] = (source, file)
@@ -228,7 +231,7 @@ def _photos() -> dict[str, dict[str, str]]:
 def drawn_folds() -> dict[str, list[int]]:
     """Draw the fold of each point of each set; folds of a set differ by one point at most."""
     folds = {}
-    for number, (name, (source, file)) in enumerate(_files().items()):
+    for number, (name, (source, file)) in enumerate(_source_and_file_by_set().items()):
         n = len(_points(_text(source.folder, file)))
         rng = np.random.default_rng([_SEED, number])
         folds[name] = rng.permutation(np.arange(n) % source.folds).tolist()

@@ -11,7 +11,7 @@ from termsel_block.estimation.equations import Shared, pairs
 from termsel_block.estimation.steps import CONVERGED, Steps, shrunk, soft
 from termsel_block.estimation.unknowns import Adjusted, Measured, State
 from termsel_block.evidence.factors import log_bayes_factor
-from termsel_block.evidence.growing import TRIED_BELOW, chance_of
+from termsel_block.evidence.growing import TRIED_BELOW, p_value_of_columns
 from termsel_block.evidence.integrating import MAX_INTEGRATED, integrate, unknown
 from termsel_block.evidence.variances import estimated, looser
 from termsel_block.geometry.control import OwnControl
@@ -282,7 +282,7 @@ class _Run(Steps):
             weight = soft(np.hypot(*residual.T) / state.sigma_ties) / state.sigma_ties**2
             columns = larger.first_order(state.ties[measured.tie])[1]
             columns = columns[:, is_new[:columns.shape[1]]]
-            if chance_of(columns, residual, weight) < TRIED_BELOW:
+            if p_value_of_columns(columns, residual, weight) < TRIED_BELOW:
                 grown = True
                 state.cameras[i] = larger
                 # New columns begin with zeros and with the variance that is a first guess.

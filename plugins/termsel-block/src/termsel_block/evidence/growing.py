@@ -11,16 +11,22 @@ TRIED_BELOW = 1e-3
 """Probability by chance below which columns are tried; the whole block decides afterwards."""
 
 
-def chance_of(columns: FloatArray, residuals: FloatArray, weight: FloatArray) -> float:
+def p_value_of_columns(columns: FloatArray, residuals: FloatArray, weight: FloatArray) -> float:
     """Return the probability that residuals follow columns so well by chance, by a test F.
 
     Parameters
     ----------
     columns : ndarray, shape (n, k)
+        What each of k candidate parameters would move each tie by, in line and in sample alike.
     residuals : ndarray, shape (n, 2)
         Of the ties of one image without these columns [px].
     weight : ndarray, shape (n,)
         Inverse variances, up to a common factor.
+
+    Returns
+    -------
+    float
+        1.0 where the ties are too few for a test or leave nothing to test.
 
     Notes
     -----
@@ -37,6 +43,7 @@ def chance_of(columns: FloatArray, residuals: FloatArray, weight: FloatArray) ->
     total = float(((root * residuals) ** 2).sum())
     explained = float(((basis.T @ (root * residuals)) ** 2).sum())
     if explained >= total:
+        # Residuals that are zero, or explained but for rounding, leave no rest to test against.
         return 1.0
     # F = (explained / p) / (rest / (n - p)) of p parameters.
     return float(fdtrc(n_parameters, n - n_parameters,

@@ -152,7 +152,9 @@ class Radar(Physical):
         stated = self.annotation
         time, distance, is_visible = zero_doppler(stated, geocentric(geographic))
         if self.options["bistatic"] and stated.middle_range_time is not None:
-            # Lines are counted by when echoes from the middle of the swath arrive.
+            # Lines are counted by when echoes from the middle of the swath arrive: an echo that is
+            # late by tau - tau_middle, tau = 2 R / c, has its zero Doppler half of that earlier on
+            # the annotation's clock, as the platform flies between transmission and echo.
             time = time - (2.0 * distance / LIGHT - stated.middle_range_time) / 2.0
         first_time, first_line = self._first_line
         line = first_line + (time - first_time) / stated.line_interval
@@ -164,6 +166,7 @@ class Radar(Physical):
         samples = stated.size[1]
         is_beyond = np.abs(sample - samples / 2.0) > (0.5 + BEYOND) * samples
         if stated.ground_ranges:
+            # A slant range counts at any distance; a polynomial of ground range does not.
             is_visible &= ~is_beyond
         image[~is_visible] = np.nan
         return image
