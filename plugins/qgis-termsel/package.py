@@ -26,7 +26,10 @@ WANTED = {"email": "authors = [{ name = ..., email = ... }]", "repository": "url
 
 
 def stated(project: dict) -> dict[str, str]:
-    """Return what a project table says of the four."""
+    """Return what a project table states of email, tracker, repository and homepage.
+
+    No empty texts.
+    """
     # Keys of [project.urls] may have capitals.
     urls = {name.lower(): url for name, url in project.get("urls", {}).items()}
     emails = [author["email"] for author in project.get("authors", []) if "email" in author]
@@ -36,7 +39,7 @@ def stated(project: dict) -> dict[str, str]:
 
 
 def faults(metadata: dict[str, str]) -> list[str]:
-    """Return what the repository of plugins would refuse, as sentences."""
+    """Return what the repository of plugins would refuse, as sentences; [] if nothing."""
     sentences = [f"{name} is missing: give --{name}, or {where_stated} in {PROJECT.name}."
                  for name, where_stated in WANTED.items() if name not in metadata]
     for name, text in metadata.items():
@@ -50,7 +53,10 @@ def faults(metadata: dict[str, str]) -> list[str]:
 
 
 def pack(target: Path, metadata: dict[str, str]) -> None:
-    """Write the plugin's files, in their order, to a zip file, with more metadata."""
+    """Write the plugin's files to a zip file, with lines of `metadata` added to its metadata.txt.
+
+    The same files give the same order of names.
+    """
     further_lines = "".join(f"{name}={text}\n" for name, text in metadata.items())
     with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as packed:
         # In the order of their names, so that the same files give the same archive.
@@ -66,7 +72,7 @@ def pack(target: Path, metadata: dict[str, str]) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Pack the plugin; return 2 if the repository of plugins would refuse it."""
+    """Pack the plugin; return 0, or 2 if the repository would refuse it or it cannot be written."""
     parser = argparse.ArgumentParser(description="Pack the plugin as a file that QGIS installs.")
     parser.add_argument("target", nargs="?", type=Path, default=Path("qgis_termsel.zip"))
     parser.add_argument("--for-repository", action="store_true",

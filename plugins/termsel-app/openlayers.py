@@ -33,7 +33,10 @@ class OpenLayersHook(BuildHookInterface[Any]):
     PLUGIN_NAME = "custom"
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Fetch what is missing, and name the files."""
+        """Fetch the files of OpenLayers if any is missing, and add them to the package to be built.
+
+        Without npm or network it only warns: the package then has no page.
+        """
         folder = Path(self.root, "vendor")
         if not all((folder / name).is_file() for name in FILES):
             try:
@@ -49,7 +52,11 @@ class OpenLayersHook(BuildHookInterface[Any]):
 
 
 def fetch(folder: Path) -> None:
-    """Write the files of OpenLayers to a folder, once the checksum of its package is right."""
+    """Write the files of OpenLayers to a folder, once the checksum of its package is right.
+
+    Raises OSError without npm, ValueError for another package, subprocess.SubprocessError if npm
+    fails.
+    """
     npm = shutil.which("npm")
     if npm is None:
         raise OSError("npm is not installed")
@@ -69,7 +76,7 @@ def fetch(folder: Path) -> None:
 
 
 def write(path: Path, content: bytes) -> None:
-    """Write a file whole, as another build may be doing the same."""
+    """Write a file whole or not at all, as another build may be writing the same one."""
     path.parent.mkdir(exist_ok=True)
     unfinished = path.with_name(f"{path.name}.{os.getpid()}")
     unfinished.write_bytes(content)

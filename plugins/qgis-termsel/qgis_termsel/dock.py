@@ -79,13 +79,13 @@ class ResultDock(QDockWidget):
         self._enable()
 
     def choose(self):
-        """Ask for a folder and show it."""
+        """Ask for the folder of a result and show it; nothing if the user cancels."""
         folder = QFileDialog.getExistingDirectory(self, "Folder of the result")
         if folder:
             self.show_result(folder)
 
     def show_result(self, folder):
-        """Show the result of a folder."""
+        """Show the result of a folder in the dock and on the map; say so if it has none."""
         self.folder = Path(folder)
         try:
             record = json.loads(read_inside(self.folder, "result.json"))
@@ -127,7 +127,7 @@ class ResultDock(QDockWidget):
             QgsProject.instance().addMapLayer(map_layer)
 
     def _offer(self, record):
-        """Offer the candidates; those that only auto can fit are shown and cannot be taken."""
+        """List the candidates of auto; those that only auto can fit cannot be chosen."""
         strategy = record.get("strategy")
         strategy = strategy if isinstance(strategy, dict) else {}
         self.candidates.clear()
@@ -143,7 +143,7 @@ class ResultDock(QDockWidget):
                 self.candidates.model().item(self.candidates.count() - 1).setEnabled(False)
 
     def _fill(self, rows):
-        """Fill the table, the largest residuals first."""
+        """Fill the table with rows of residuals, the largest first, and check those left out."""
         # While rows are filled they must not change their places.
         self.table.setSortingEnabled(False)
         self.table.setRowCount(len(rows))
@@ -175,19 +175,19 @@ class ResultDock(QDockWidget):
             if self.table.item(row, 0).checkState() == CHECKED))
 
     def select(self, name):
-        """Choose the row of a feature, and show it."""
+        """Choose the rows of a feature, by its id, and scroll to them."""
         for row in range(self.table.rowCount()):
             if self.table.item(row, 1).text() == name:
                 self.table.selectRow(row)
                 self.table.scrollToItem(self.table.item(row, 1))
 
     def chosen(self):
-        """Return the id of the row that is chosen, "" for none."""
+        """Return the id in the current row; "" if there is none."""
         row = self.table.currentRow()
         return "" if row < 0 else self.table.item(row, 1).text()
 
     def go_to(self):
-        """Show the chosen point in the middle of the map."""
+        """Move the map so that the chosen point is in its middle."""
         if self.map_tool is not None:
             self.map_tool.go_to(self.chosen())
 
@@ -197,7 +197,7 @@ class ResultDock(QDockWidget):
             self.iface.mapCanvas().setMapTool(self.map_tool)
 
     def rerun(self):
-        """Open the dialog of the algorithm with the same points, and what is to be left out."""
+        """Open the dialog of the algorithm, filled in by `again`, and show what it gives."""
         from processing import execAlgorithmDialog
 
         # The dialog is filled in, and the user may change all of it before running.
@@ -206,7 +206,10 @@ class ResultDock(QDockWidget):
             self.show_result(outputs["OUTPUT"])
 
     def again(self):
-        """Return the algorithm and the parameters of another run."""
+        """Return the id of the algorithm that made the result, and its parameters for another run.
+
+        Features whose boxes are checked are left out.
+        """
         files = {"FILE": self.folder / "points.csv", "LINES": self.folder / "lines.csv"}
         # Files that a result has: points, lines or both.
         parameters = {name: str(file) for name, file in files.items() if file.exists()}
@@ -230,7 +233,8 @@ class ResultDock(QDockWidget):
 
 
 def role_text(row):
-    """Return the role of a row of residuals as the page of `termsel app` says it."""
+    """Return the role of a row of residuals in the words of `termsel app`; "left out as a blunder".
+    """
     if row["role"] != "off" and row["used"] == "no" and row["blunder"]:
         return "left out as a blunder"
     # The words of all screens for the roles of files.
@@ -239,7 +243,7 @@ def role_text(row):
 
 
 def check_these(record, rows):
-    """Return the blunders as the page names them; nothing where there are none."""
+    """Return a sentence on each blunder, after "Check these:"; "" if there are none."""
     sizes = {row["id"]: float(row["distance"] or 0) for row in rows}
     unused = {row["id"] for row in rows if row["used"] == "no"}
     sentences = [f"{outlier['id']} is off by "
@@ -250,7 +254,10 @@ def check_these(record, rows):
 
 
 def accuracy_text(record):
-    """Return the accuracy of a result in two sentences, with its interval as the page has it."""
+    """Return the RMSE at independent check points and the predicted one, with its interval.
+
+    In words; if there is neither, that the accuracy is not known.
+    """
     independent = (record.get("rmse") or {}).get("independent") or {}
     predicted = record.get("predicted") or {}
     sentences = []

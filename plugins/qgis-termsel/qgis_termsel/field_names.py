@@ -28,7 +28,7 @@ _UNIT = re.compile(r"\s*[\[({<【].*$|[\s_.-]+(px|pix|pixels?|m|deg|degrees?|dms
 
 
 def folded(name):
-    """Return a name without accents, signs and capitals."""
+    """Return a name in small letters, without accents, spaces and signs."""
     letters = unicodedata.normalize("NFKD", name.casefold().replace("ł", "l"))
     without_accents = "".join(sign for sign in letters if not unicodedata.combining(sign))
     return re.sub(r"[\W_]", "", without_accents)

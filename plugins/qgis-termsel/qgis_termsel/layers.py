@@ -58,14 +58,20 @@ _FORMULA = re.compile(r"'*\s*[=+\-@\uff1d\uff0b\uff0d\uff20\ufe62\ufe63\ufe66\uf
 
 
 def write_table(path, rows):
-    """Write a table whose texts no spreadsheet runs; termsel reads them as they were."""
+    """Write rows as CSV, with an apostrophe before texts that a spreadsheet would run.
+
+    `unguarded`, and termsel, take it off again.
+    """
     with open(path, "w", newline="", encoding="utf-8") as opened:
         csv.writer(opened, lineterminator="\n").writerows(
             [[_guarded(cell) for cell in row] for row in rows])
 
 
 def _guarded(cell):
-    """Return a cell with an apostrophe in front of what would be a formula."""
+    """Return a cell with an apostrophe before what a spreadsheet would run as a formula.
+
+    Numbers, and what is no text, stay.
+    """
     if not isinstance(cell, str) or not _FORMULA.match(cell):
         return cell
     try:
@@ -76,12 +82,15 @@ def _guarded(cell):
 
 
 def unguarded(text):
-    """Return a cell of a table of termsel without the apostrophe in front of a formula."""
+    """Return a cell without the apostrophe that `write_table` puts before a formula."""
     return text[1:] if text[:1] == "'" and _FORMULA.match(text) else text
 
 
 def _field(source, meaning, stated):
-    """Return the name of the field that has a meaning."""
+    """Return the field that the user stated, or else the one with a usual name.
+
+    None if none has it.
+    """
     if stated:
         return stated
     return field_of(meaning, [field.name() for field in source.fields()])
@@ -102,6 +111,7 @@ def _row(feature, names, number):
     vertex = next(geometry.vertices())
 
     def cell(meaning):
+        """Return the value of a field by its meaning; "" for NULL, and without such a field."""
         # NULL of QGIS is an object that is neither None nor text.
         value = feature[names[meaning]] if names[meaning] else None
         return "" if value is None or str(value) == "NULL" else value
@@ -187,7 +197,7 @@ class AsInFile(QgsProcessingLayerPostProcessorInterface):
         _kept.append(self)
 
     def postProcessLayer(self, layer, context, feedback):
-        """Take the look."""
+        """Give a loaded layer the look that its file states; QGIS calls it."""
         layer.loadDefaultStyle()
         layer.triggerRepaint()
 
@@ -196,7 +206,7 @@ class BlundersInRed(AsInFile):
     """Gives the layer of blunders its look."""
 
     def postProcessLayer(self, layer, context, feedback):
-        """Take the look."""
+        """Show blunders as red circles; QGIS calls it for the loaded layer."""
         blunder_style(layer)
         layer.triggerRepaint()
 
@@ -205,7 +215,7 @@ class InShades(AsInFile):
     """Shows an uncertainty in shades, the darker the larger."""
 
     def postProcessLayer(self, layer, context, feedback):
-        """Take the look."""
+        """Show the uncertainty in shades of red; QGIS calls it for the loaded layer."""
         shade(layer)
         layer.triggerRepaint()
 
@@ -233,7 +243,10 @@ def blunder_style(layer):
 
 
 def add_blunders(folder, record, target):
-    """Add the blunders among the points of a result as a layer to a GeoPackage."""
+    """Add the blunders among the points of a result as the layer "blunders" to a GeoPackage.
+
+    `record` is the content of result.json; the layer is empty if no point is a blunder.
+    """
     errors = {outlier["id"]: outlier["error"] for outlier in record.get("outliers", [])}
     layer = QgsVectorLayer("Point?field=id:string&field=error:double", "blunders", "memory")
     layer.setCrs(stated_crs(record["data"].get("crs", "")))

@@ -50,7 +50,10 @@ class ChoosePoint(QgsMapToolEmitPoint):
         self.canvasClicked.connect(self.choose)
 
     def on_map(self):
-        """Return the places by id in the CRS of the map; none where there is no CRS."""
+        """Return the places of the points by id in the CRS of the map.
+
+        They stay as they are if the result or the map has no CRS.
+        """
         crs = self.canvas().mapSettings().destinationCrs()
         if self.crs is None or not self.crs.isValid() or not crs.isValid():
             return dict(self.places)

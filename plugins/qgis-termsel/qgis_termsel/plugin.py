@@ -15,12 +15,12 @@ class TermselPlugin:
         self.action = None
 
     def initProcessing(self):
-        """Add the algorithms."""
+        """Register the provider of the algorithms."""
         self.provider = TermselProvider()
         QgsApplication.processingRegistry().addProvider(self.provider)
 
     def initGui(self):
-        """Add the algorithms and the dock."""
+        """Register the algorithms, and add the dock and its action."""
         self.initProcessing()
         # Without a window, as in qgis_process, these modules may be missing.
         from qgis.PyQt.QtCore import Qt
@@ -38,7 +38,7 @@ class TermselPlugin:
         self.iface.addPluginToRasterMenu("termsel", self.action)
 
     def unload(self):
-        """Remove what was added."""
+        """Remove the dock, its action and the algorithms."""
         if self.provider is not None:
             QgsApplication.processingRegistry().removeProvider(self.provider)
         if self.dock is not None:

@@ -12,7 +12,7 @@ class TermselProvider(QgsProcessingProvider):
     """All algorithms of this plugin."""
 
     def loadAlgorithms(self):
-        """Add the algorithms."""
+        """Add the algorithms to the provider; QGIS calls it."""
         from .algorithms import ALGORITHMS
 
         # Processing owns the instances, and asks for new ones when it reloads the provider.
@@ -20,7 +20,7 @@ class TermselProvider(QgsProcessingProvider):
             self.addAlgorithm(algorithm())
 
     def id(self):
-        """Return the name before the colon."""
+        """Return the id of the provider, what comes before the colon in scripts."""
         return "termsel"
 
     def name(self):

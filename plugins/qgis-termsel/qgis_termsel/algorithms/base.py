@@ -28,23 +28,23 @@ class Algorithm(QgsProcessingAlgorithm):
     NAME = TITLE = GROUP = HELP = ""
 
     def name(self):
-        """Return the name after the colon."""
+        """Return the id of the algorithm, what follows termsel: in scripts."""
         return self.NAME
 
     def displayName(self):
-        """Return the name in the toolbox."""
+        """Return the title of the algorithm in the toolbox."""
         return self.TITLE
 
     def group(self):
-        """Return the group in the toolbox."""
+        """Return the title of the algorithm's group in the toolbox."""
         return self.GROUP
 
     def groupId(self):
-        """Return the group's name."""
+        """Return the id of the algorithm's group."""
         return self.GROUP.lower()
 
     def shortHelpString(self):
-        """Return the text of the dialog."""
+        """Return the help text beside the dialog."""
         return self.HELP
 
     def icon(self):
@@ -52,7 +52,7 @@ class Algorithm(QgsProcessingAlgorithm):
         return QIcon(ICON)
 
     def createInstance(self):
-        """Return another one."""
+        """Return a new instance, as QGIS runs each call on one of its own."""
         return type(self)()
 
 
@@ -89,7 +89,10 @@ def layer_file(layer, description):
 
 
 def in_place(new_folder, target):
-    """Put a folder that is complete where it was asked for."""
+    """Move the files of a complete folder into the folder `target`, result.json last.
+
+    `target` is made if it does not exist; a symbolic link in it is replaced, not followed.
+    """
     target = Path(target)
     target.mkdir(parents=True, exist_ok=True)
     # result.json comes last: where it is, the folder is complete.
@@ -101,6 +104,6 @@ def in_place(new_folder, target):
 
 
 def scratch():
-    """Return a folder that does not exist yet."""
+    """Return the path of a folder that does not exist yet, in Processing's temporary folder."""
     # In the temporary folder of Processing.
     return QgsProcessingUtils.generateTempFilename("result")

@@ -44,7 +44,7 @@ _DEGREES = {"linear": 1, "quadratic": 2, "cubic": 3}
 
 
 def inputs_of(folder):
-    """Return the RPC of a result, as a parameter; no other parameter is taken from its folder."""
+    """Return the RPC that made the result of a folder, as parameters; {} if it is not stated."""
     try:
         # The file is ours, but anything may have happened to the folder.
         stated = json.loads(read_inside(folder, INPUTS))
@@ -55,7 +55,7 @@ def inputs_of(folder):
 
 
 def model_named(candidate, model):
-    """Return what the parameter MODEL says for a candidate of auto; "" if only auto can fit it."""
+    """Return the parameter MODEL for a candidate of auto; "" if only auto can fit it."""
     # Polynomials of auto are called by their degree, not by their model.
     if model in ("poly2d", "poly3d"):
         return f"{model} {_DEGREES[candidate]}" if candidate in _DEGREES else ""
@@ -107,7 +107,7 @@ class Georeference(Algorithm):
         self._outputs()
 
     def _outputs(self):
-        """Declare what both algorithms take last, and the outputs."""
+        """Declare the parameters that both algorithms have at the end, and their outputs."""
         self.addParameter(QgsProcessingParameterString(
             "OFF", "Points to leave out, such as P07,P12", optional=True))
         self.addParameter(QgsProcessingParameterFolderDestination("OUTPUT", "Result"))
@@ -119,12 +119,15 @@ class Georeference(Algorithm):
         self.addOutput(QgsProcessingOutputString("BLUNDERS", "Blunders"))
 
     def processAlgorithm(self, parameters, context, feedback):
-        """Run the command."""
+        """Run `termsel run` and return its outputs."""
         return self._run(self._points(parameters, context) + self._more(parameters, context),
                          parameters, context, feedback)
 
     def _points(self, parameters, context):
-        """Return the arguments of the points."""
+        """Return the arguments of the points: a layer written as a table, or a file.
+
+        Raises QgsProcessingException unless exactly one of them is given.
+        """
         source = self.parameterAsSource(parameters, "POINTS", context)
         file = self.parameterAsFile(parameters, "FILE", context)
         # Either one or the other: neither is an error, and so are both.
@@ -142,7 +145,7 @@ class Georeference(Algorithm):
         return ["--points", path, "--crs", crs]
 
     def _more(self, parameters, context):
-        """Return the other arguments."""
+        """Return the arguments of DEM, image, RPC, lines and model; [] if none is given."""
         arguments = []
         dem = self.parameterAsRasterLayer(parameters, "DEM", context)
         if dem is not None:
@@ -163,7 +166,11 @@ class Georeference(Algorithm):
         return arguments
 
     def _run(self, arguments, parameters, context, feedback):
-        """Run the search, put its folder in place, and return the outputs."""
+        """Run the search, put its folder in place, and return the outputs.
+
+        If the points are too few for selection points, it runs once more without them. Raises
+        QgsProcessingException if termsel fails, or the folder has a result.
+        """
         new_folder = scratch()
         target = self.parameterAsString(parameters, "OUTPUT", context)
         # termsel refuses this, too, but only after the search.
@@ -230,7 +237,7 @@ class SelectLines(Georeference):
         self._outputs()
 
     def processAlgorithm(self, parameters, context, feedback):
-        """Run the command."""
+        """Run `termsel run` with the problem owdis-lines and return its outputs."""
         crs = self.parameterAsCrs(parameters, "CRS", context)
         return self._run(
             ["--problem", "owdis-lines", "--lines", self.parameterAsFile(

@@ -59,7 +59,7 @@ class Rectify(Algorithm):
         add(QgsProcessingParameterRasterDestination("OUTPUT", "Map"))
 
     def processAlgorithm(self, parameters, context, feedback):
-        """Run the command."""
+        """Run `termsel rectify` and return the map."""
         arguments = ["rectify", self.parameterAsString(parameters, "RESULT", context),
                      layer_file(self.parameterAsRasterLayer(parameters, "IMAGE", context), "image")]
         dem = self.parameterAsRasterLayer(parameters, "DEM", context)
@@ -109,7 +109,7 @@ class Uncertainty(Algorithm):
         add(QgsProcessingParameterRasterDestination("OUTPUT", "Uncertainty"))
 
     def processAlgorithm(self, parameters, context, feedback):
-        """Run the command."""
+        """Run `termsel sigma` and return the raster, shown in shades."""
         arguments = ["sigma", self.parameterAsString(parameters, "RESULT", context)]
         for name, description in (("IMAGE", "image"), ("MAP", "map"), ("DEM", "raster of heights")):
             layer = self.parameterAsRasterLayer(parameters, name, context)
@@ -147,7 +147,10 @@ class ExportModel(Algorithm):
         add(QgsProcessingParameterFileDestination("OUTPUT", "File"))
 
     def processAlgorithm(self, parameters, context, feedback):
-        """Run the command."""
+        """Run `termsel export` and return the file.
+
+        Raises QgsProcessingException without an image it needs.
+        """
         form = _FORMATS[self.parameterAsEnum(parameters, "FORMAT", context)]
         output = self.parameterAsFileOutput(parameters, "OUTPUT", context)
         arguments = ["export", self.parameterAsString(parameters, "RESULT", context), "--to", form,
@@ -180,7 +183,7 @@ class Report(Algorithm):
         self.addOutput(QgsProcessingOutputHtml("PAGE", "Report"))
 
     def processAlgorithm(self, parameters, context, feedback):
-        """Run the command."""
+        """Run `termsel report` and return the page."""
         output = self.parameterAsFileOutput(parameters, "OUTPUT", context)
         run(["report", self.parameterAsString(parameters, "RESULT", context), "-o", output,
              "--overwrite"], feedback)
@@ -203,7 +206,7 @@ class NextPlaces(Algorithm):
             "OUTPUT", "Places", QgsProcessing.SourceType.TypeVectorPoint))
 
     def processAlgorithm(self, parameters, context, feedback):
-        """Run the command and return its table as a layer."""
+        """Run `termsel plan` and return its places as a layer of points."""
         folder = self.parameterAsString(parameters, "RESULT", context)
         table = scratch() + ".csv"
         run(["plan", folder, "-n", self.parameterAsInt(parameters, "NUMBER", context), "-o", table],
@@ -228,5 +231,5 @@ class NextPlaces(Algorithm):
 
 
 def _crs_of(folder):
-    """Return the CRS of a result."""
+    """Return the CRS of the result in a folder, invalid if it states none."""
     return stated_crs(json.loads(read_inside(folder, "result.json"))["data"].get("crs", ""))

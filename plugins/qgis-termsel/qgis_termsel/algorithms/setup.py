@@ -39,7 +39,8 @@ class SetUp(Algorithm):
         self.addOutput(QgsProcessingOutputString("VERSION", "Version"))
 
     def processAlgorithm(self, parameters, context, feedback):
-        """Make or check the environment."""
+        """Make an environment, or check the one that is given, and return its version of termsel.
+        """
         stated = self.parameterAsString(parameters, "ENVIRONMENT", context)
         folder = Path(stated) if stated else own_environment()
         if not stated:
@@ -55,7 +56,10 @@ class SetUp(Algorithm):
 
 
 def _make(folder, packages, feedback):
-    """Make an environment with packages; one that fails leaves none."""
+    """Make an environment with packages; if that fails, remove it unless it was there before.
+
+    Raises QgsProcessingException if it fails, or no package is named.
+    """
     if not packages:
         raise QgsProcessingException("State the packages to install, or an environment that has "
                                      "termsel.")
@@ -73,7 +77,10 @@ def _make(folder, packages, feedback):
 
 
 def _words(text):
-    """Return the words of a text; quotes keep spaces, and a backslash is one of a path."""
+    """Return the words of a text; [] of a blank one.
+
+    Quotes keep spaces together, and a backslash is one of a path.
+    """
     words = []
     remainder = text.strip()
     while remainder:

@@ -39,7 +39,7 @@ class MatchReference(Algorithm):
         self.addOutput(QgsProcessingOutputVectorLayer("LAYER", "Matches"))
 
     def processAlgorithm(self, parameters, context, feedback):
-        """Run the command."""
+        """Run `termsel match-points` and return the table and a layer of it."""
         output = self.parameterAsFileOutput(parameters, "OUTPUT", context)
         # The image is the argument itself; all other layers are options.
         arguments = ["match-points"]
@@ -59,7 +59,7 @@ class MatchReference(Algorithm):
 
 
 def _layer_of(table):
-    """Return the source of a layer that shows a table of points where they lie."""
+    """Return the source of a layer of QGIS that shows a table of points, by its x, y and CRS."""
     with open(table, encoding="utf-8") as opened:
         # Lines with a number sign, among them the CRS, come before the header.
         heads = list(takewhile(lambda line: line.startswith("#"), opened))
@@ -84,7 +84,7 @@ class AdjustBlock(Algorithm):
         self.addOutput(QgsProcessingOutputHtml("PAGE", "Report"))
 
     def processAlgorithm(self, parameters, context, feedback):
-        """Run the command."""
+        """Run `termsel block` and return the folder and its page."""
         output = self.parameterAsString(parameters, "OUTPUT", context)
         feedback.pushInfo(run(["block", self.parameterAsFile(parameters, "BLOCK", context), "--out",
                                output], feedback))

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 @hookimpl
 def termsel_commands(cli: click.Group) -> None:
-    """Add the command."""
+    """Add the command `termsel app` to the group."""
     from termsel_app.command import app
 
     cli.add_command(app)

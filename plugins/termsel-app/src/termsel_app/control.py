@@ -36,7 +36,7 @@ class Patch:
     after: Record | None
 
     def inverse(self) -> Patch:
-        """Return the patch that takes this one back."""
+        """Return the patch that takes this one back: before and after exchanged."""
         return Patch(self.after, self.before)
 
 
@@ -53,7 +53,8 @@ class ControlFeatures:
 
     @property
     def records(self) -> dict[str, Record]:
-        """All features by id. A new name keeps the place in the order."""
+        """All features by id, in the order in which they came; one that is renamed keeps its place.
+        """
         if not self._in_order:
             # Sorted when somebody looks, not at every change: a journal may have many thousands.
             self._records = dict(sorted(self._records.items(),
@@ -66,14 +67,16 @@ class ControlFeatures:
         return len(self._records)
 
     def apply(self, patches: Iterable[Patch]) -> None:
-        """Change the records, as a change that can be undone."""
+        """Change the records by patches, together one change to undo; what was undone is forgotten.
+        """
         patches = tuple(patches)
         self._patch(patches)
         self.done.append(patches)
         self.undone.clear()
 
     def undo(self) -> tuple[Patch, ...]:
-        """Take back the last change; raises TermselError if there is none."""
+        """Take back the last change and return its patches; raises TermselError if there is none.
+        """
         if not self.done:
             raise TermselError("there is nothing to undo")
         patches = self.done.pop()
@@ -82,7 +85,10 @@ class ControlFeatures:
         return patches
 
     def redo(self) -> tuple[Patch, ...]:
-        """Do again what was undone last; raises TermselError if there is nothing."""
+        """Repeat the change undone last and return its patches.
+
+        Raises TermselError if there is none.
+        """
         if not self.undone:
             raise TermselError("there is nothing to do again")
         patches = self.undone.pop()
@@ -91,7 +97,7 @@ class ControlFeatures:
         return patches
 
     def _patch(self, patches: Iterable[Patch]) -> None:
-        """Make changes, so that a renamed feature keeps its rank."""
+        """Change the records by patches, in their order, without a note for undo."""
         for patch in patches:
             before = None if patch.before is None else patch.before["id"]
             after = None if patch.after is None else patch.after["id"]
@@ -108,14 +114,16 @@ class ControlFeatures:
                 self._records[after] = patch.after
 
     def new_id(self, kind: str) -> str:
-        """Return a name that no feature has: the next number after those there are."""
+        """Return an id that no feature has, such as P07 or L07: the next after the largest in use.
+        """
         letter = "P" if kind == "point" else "L"
         numbers = [int(match[1]) for name in self.records
                    if (match := re.fullmatch(rf"{letter}(\d{{1,9}})", name))]
         return f"{letter}{max(numbers, default=0) + 1:02d}"
 
     def complete(self, kind: str) -> list[Record]:
-        """Return the features of a kind that have both image and ground."""
+        """Return the features of a kind, point or line, that have places in both image and ground.
+        """
         return [record for record in self.records.values()
                 if record["kind"] == kind and record["image"] and record["ground"]]
 
@@ -143,17 +151,20 @@ class ControlFeatures:
 
 
 def is_whole(record: Record) -> bool:
-    """Return whether a line has two places in the image and two on the ground."""
+    """Return whether a line has both its places in the image and both on the ground."""
     return all(record[space] and len(record[space]) == 2 for space in ("image", "ground"))
 
 
 def _ground(positions: Iterable[Any]) -> Any:
-    """Return ground coordinates with NaN for heights that are not known."""
+    """Return ground coordinates (n, 3) of x, y, z; heights that are None become NaN."""
     return np.array([[x, y, np.nan if z is None else z] for x, y, z in positions], dtype=np.float64)
 
 
 def checked(record: Mapping[str, Any]) -> Record:
-    """Return a record that came from a page or a file, if it is one; raises TermselError if not."""
+    """Return a record that came from a page or a file with id, kind, role, image and ground alone.
+
+    Raises TermselError if it is no point or line, or its id, role or coordinates are not valid.
+    """
     kind = record.get("kind")
     if kind not in ("point", "line"):
         raise TermselError(f"{kind!r} is no kind of feature", hint="Kinds are point and line.")
@@ -174,7 +185,10 @@ def checked(record: Mapping[str, Any]) -> Record:
 
 
 def _places(value: Any, size: int, count: int | None) -> Any:
-    """Return one place, or up to two places of a line; None where there is none."""
+    """Return the checked place of a point (`count` None), or the up to `count` places of a line.
+
+    A place has `size` coordinates; None if there is none.
+    """
     if value is None or value == []:
         return None
     if count is None:
@@ -185,6 +199,8 @@ def _places(value: Any, size: int, count: int | None) -> Any:
 
 
 def _place(value: Any, size: int) -> list[float | None]:
+    """Return a place of `size` finite coordinates; the height of a place on the ground may be None.
+    """
     if not isinstance(value, list) or len(value) != size:
         raise TermselError(f"a position has {size} coordinates")
     if size == 3 and value[2] is None:
@@ -193,6 +209,7 @@ def _place(value: Any, size: int) -> list[float | None]:
 
 
 def _number(value: Any) -> float:
+    """Return a coordinate; raises TermselError if it is no finite number of usual size."""
     if isinstance(value, bool) or not isinstance(value, int | float) \
             or not abs(value) < COORDINATE_LIMIT:
         raise TermselError(f"{value!r:.40} is no coordinate", hint="Give finite numbers.")

@@ -46,7 +46,8 @@ class IiifImage:
 
 
 def is_iiif(name: str | None) -> bool:
-    """Return whether an image is named by the address of its description."""
+    """Return whether the name of an image is the address of an info.json of the IIIF; None is not.
+    """
     return name is not None and name.startswith(("http://", "https://")) and name.endswith(INFO)
 
 
@@ -74,7 +75,10 @@ def fetched(address: str, remote: bool) -> IiifImage:
 
 
 def described(content: bytes, address: str) -> IiifImage:
-    """Return the image that a description is of; raises TermselError if it is none."""
+    """Return the image that the content of an info.json describes.
+
+    `address` is for messages. Raises TermselError if it describes none, or states no size.
+    """
     try:
         info = json.loads(content) if len(content) <= MAX_DESCRIPTION_BYTES else None
     except (ValueError, RecursionError):

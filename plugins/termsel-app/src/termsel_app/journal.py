@@ -41,7 +41,8 @@ class Journal:
         self._path = path
 
     def begin(self, header: Mapping[str, Any]) -> None:
-        """Write the first line of a new session."""
+        """Write the first line of a new session: the schema and the header, which names its files.
+        """
         self.append({"schema": SCHEMA, **header})
 
     def append(self, entry: Mapping[str, Any]) -> None:
@@ -98,7 +99,7 @@ def open_journal(folder: Path) -> Iterator[
 
 @contextmanager
 def _unless_empty(file: FileIO, path: Path) -> Iterator[None]:
-    """Leave no journal behind where nothing was written to it."""
+    """Remove the journal at the end if nothing was written to it."""
     try:
         yield
     finally:
@@ -108,7 +109,7 @@ def _unless_empty(file: FileIO, path: Path) -> Iterator[None]:
 
 
 def header_of(folder: Path) -> dict[str, Any]:
-    """Return the header of a session that is there; raises TermselError if there is none."""
+    """Return the header of the session in a folder; raises TermselError if there is none."""
     path = inside(folder, JOURNAL_NAME)
     require_regular(path)
     try:
@@ -124,12 +125,16 @@ def header_of(folder: Path) -> dict[str, Any]:
 
 
 def _without_links(name: str, flags: int) -> int:
+    """Open a file as `open` does, but fail on a symbolic link, which could lead anywhere."""
     # A link in a folder of strangers could lead anywhere; Windows has no such flag.
     return os.open(name, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)
 
 
 def read_entries(file: FileIO, path: Path) -> tuple[list[dict[str, Any]], int]:
-    """Return the entries of a journal, and the bytes up to the end of the last that is whole."""
+    """Return the entries of a journal, and its length [bytes] up to the end of the last whole line.
+
+    Raises TermselError for a line that is no entry, or a journal too large to be read.
+    """
     file.seek(0)
     if os.fstat(file.fileno()).st_size > MAX_JOURNAL_BYTES:
         raise TermselError("the session is too large to be read", file=path,
@@ -154,6 +159,8 @@ def read_entries(file: FileIO, path: Path) -> tuple[list[dict[str, Any]], int]:
 
 
 def _header(entry: dict[str, Any], path: Path) -> dict[str, Any]:
+    """Return the header in the first entry of a journal; raises TermselError if it is no session's.
+    """
     if entry.get("schema") != SCHEMA:
         raise TermselError(f"this is no session of termsel app: its first line lacks {SCHEMA}",
                            file=path, line=1,
@@ -162,7 +169,10 @@ def _header(entry: dict[str, Any], path: Path) -> dict[str, Any]:
 
 
 def replayed(entries: list[dict[str, Any]], path: Path) -> ControlFeatures:
-    """Return the features after all changes of a journal."""
+    """Return the features after all changes of a journal, whose first entry is the header.
+
+    `entries` are those after the header. Raises TermselError with the line that cannot be repeated.
+    """
     control = ControlFeatures()
     repeated = 0
     # Line 1 is the header.
@@ -188,7 +198,7 @@ def replayed(entries: list[dict[str, Any]], path: Path) -> ControlFeatures:
 
 
 def patches_of(entry: Mapping[str, Any]) -> list[Patch]:
-    """Return the patches of an entry; raises TermselError if it has none."""
+    """Return the patches of an entry with a change; raises TermselError if it has none."""
     change = entry.get("change")
     if not isinstance(change, list) or not all(
             isinstance(pair, list) and len(pair) == 2 for pair in change):
@@ -201,11 +211,12 @@ def patches_of(entry: Mapping[str, Any]) -> list[Patch]:
 
 
 def _mapping(record: Any) -> dict[str, Any]:
+    """Return a record; raises TermselError if it is no JSON object."""
     if not isinstance(record, dict):
         raise TermselError("it has no features")
     return record
 
 
 def entry_of(patches: list[Patch]) -> dict[str, Any]:
-    """Return the entry of a change."""
+    """Return the entry of a journal for a change, which `patches_of` reads again."""
     return {"change": [[patch.before, patch.after] for patch in patches]}

@@ -18,14 +18,18 @@ NODES_OF_TILE = 17
 
 
 def image_resolutions(size: tuple[int, int] | None) -> list[float]:
-    """Return pixels of the image in one pixel of a tile, of all levels, the coarsest first."""
+    """Return how many pixels of an image (lines, samples) a pixel of a tile spans on each level.
+
+    The coarsest level comes first, the last is 1. Without a size it is that of 1000 x 1000 px.
+    """
     height, width = size or (1000, 1000)
     levels = max(int(np.ceil(np.log2(max(height, width) / TILE))), 0)
     return [float(2**level) for level in range(levels, -1, -1)]
 
 
 def image_tile(image: Raster, level: int, column: int, row: int) -> Pixels:
-    """Return a tile of the image; transparent outside."""
+    """Return a tile of the image (TILE, TILE, 4); transparent outside it, and on levels it has not.
+    """
     resolutions = image_resolutions((image.height, image.width))
     if not 0 <= level < len(resolutions):
         return np.zeros((TILE, TILE, 4), dtype=np.uint8)
@@ -34,7 +38,10 @@ def image_tile(image: Raster, level: int, column: int, row: int) -> Pixels:
 
 
 def box_of_tile(session: Session, box: Box, level: int, column: int, row: int) -> Box | None:
-    """Return the extent of a tile of the map, whose grid begins in the north-west of a box."""
+    """Return the box of a tile of the map, whose grid begins in the north-west of `box`.
+
+    None if there is no such level.
+    """
     resolutions = session.maps.resolutions(box)
     if not 0 <= level < len(resolutions):
         return None
@@ -45,7 +52,10 @@ def box_of_tile(session: Session, box: Box, level: int, column: int, row: int) -
 
 
 def warped_tile(image: Raster, prediction: Prediction, box: Box) -> Pixels:
-    """Return a tile of the map as the image shows it."""
+    """Return a tile of the map (TILE, TILE, 4) as the image shows it through the model.
+
+    Transparent as a whole if the model does not see all of the box.
+    """
     from scipy.ndimage import map_coordinates
 
     west, south, east, north = box
@@ -65,7 +75,10 @@ def warped_tile(image: Raster, prediction: Prediction, box: Box) -> Pixels:
 
 
 def drawn_graticule(session: Session, box: Box) -> dict[str, Any]:
-    """Return lines of round coordinates on the map, and through the model in the image."""
+    """Return lines of round coordinates on the map, and through the model in the image.
+
+    `image` of a line is None as long as there is no model.
+    """
     lines = graticule(session.places, box)
     prediction = session.prediction
     return {"lines": [{"label": line["label"], "axis": line["axis"], "map": line["map"],
@@ -74,7 +87,10 @@ def drawn_graticule(session: Session, box: Box) -> dict[str, Any]:
 
 
 def drawn_vectors(session: Session) -> dict[str, Any]:
-    """Return the vertices of the map's vector layers through the model, line by line."""
+    """Return the map's vector layers through the model: `lines` of (line, sample), for the page.
+
+    Empty as long as there is no model.
+    """
     prediction = session.prediction
     if prediction is None:
         return {"lines": []}
@@ -86,7 +102,8 @@ def drawn_vectors(session: Session) -> dict[str, Any]:
 
 
 def through(prediction: Prediction, vertices: Any) -> list[list[float]]:
-    """Return line and sample of vertices on the map, those left out that the model does not see."""
+    """Return line and sample of vertices on the map (n, 2), but for those the model does not see.
+    """
     if not len(vertices):
         return []
     image = prediction.to_image(vertices)
@@ -95,7 +112,7 @@ def through(prediction: Prediction, vertices: Any) -> list[list[float]]:
 
 
 def _lines_of(geometry: Any) -> list[Any]:
-    """Return the lines of a geometry of GeoJSON."""
+    """Return the vertices of each line of a geometry of GeoJSON, rings included; [] of points."""
     kind = geometry["type"]
     coordinates = geometry.get("coordinates", ())
     if kind == "LineString":

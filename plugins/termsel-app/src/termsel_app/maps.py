@@ -28,13 +28,13 @@ Box = tuple[float, float, float, float]
 
 
 def is_tiles(name: str) -> bool:
-    """Return whether a map is named by the address of its tiles."""
+    """Return whether the name of a map is an address of tiles, with {x}, {y} and {z} in it."""
     return name.startswith(("http://", "https://")) and "{x}" in name and "{z}" in name \
         and ("{y}" in name or "{-y}" in name)
 
 
 def is_vector(name: str) -> bool:
-    """Return whether a map is a vector file, by its name."""
+    """Return whether a map is a vector file, by the suffix of its name."""
     return Path(name).suffix.lower() in _VECTORS
 
 
@@ -72,7 +72,7 @@ class MapRaster:
         self.raster.close()
 
     def box(self, crs: str) -> Box:
-        """Return the extent in the CRS that is shown."""
+        """Return the extent (x min, y min, x max, y max) in the CRS that is shown."""
         dataset = self.raster.dataset
         share = np.linspace(0, 1, 21)
         zero = np.zeros_like(share)
@@ -84,7 +84,7 @@ class MapRaster:
         return box_of(turned(between(self.crs, crs), np.column_stack([x, y])))
 
     def resolution(self, crs: str) -> float:
-        """Return the size of a pixel in the middle, in the CRS that is shown."""
+        """Return the width of a pixel in the raster's middle, in units of the CRS that is shown."""
         dataset = self.raster.dataset
         row = dataset.height / 2
         column = dataset.width / 2
@@ -93,7 +93,7 @@ class MapRaster:
         return float(np.hypot(*(ends[1] - ends[0])))
 
     def tile(self, box: Box, crs: str) -> Pixels:
-        """Return the colours of a box in the CRS that is shown."""
+        """Return the colours (TILE, TILE, 4) of a box in the CRS that is shown."""
         from affine import Affine
 
         west, south, east, north = box
@@ -183,13 +183,16 @@ class Maps:
 
     @property
     def box(self) -> Box | None:
-        """The extent of what the files show; None where there are none."""
+        """The extent of all files (x min, y min, x max, y max) as shown; None without files."""
         boxes = [raster.box(self.shown) for raster in self.rasters]
         boxes += [layer.box for layer in self.vectors]
         return around(boxes) if boxes else None
 
     def resolutions(self, box: Box) -> list[float]:
-        """Return the sizes of a pixel of tiles of all levels, the coarsest first."""
+        """Return the size of a pixel of a tile on each level, in units of the CRS that is shown.
+
+        The coarsest level comes first, and shows all of the box.
+        """
         width = max(box[2] - box[0], box[3] - box[1], 1e-9)
         # Some levels finer than any raster, as points are measured within its pixels.
         finest = min((raster.resolution(self.shown) for raster in self.rasters),
@@ -228,7 +231,10 @@ def open_maps(names: Sequence[str], crs: str | None, remote: bool) -> Maps:
 
 
 def _layer_of(name: str) -> tuple[Any, str]:
-    """Return the shapes of a vector file, and its CRS; "" where it states none."""
+    """Return the shapes of a vector file, and its CRS, "" if it states none.
+
+    Raises TermselError for a file without geometry.
+    """
     meta, shapes, _ = open_layer(Path(name), None, GEOMETRIES)
     if shapes is None:
         raise TermselError("the layer has no geometry", file=name,
@@ -238,7 +244,10 @@ def _layer_of(name: str) -> tuple[Any, str]:
 
 
 def _shapes_shown(name: str, shapes: Any, crs: str | None, page_crs: str) -> VectorLayer:
-    """Return shapes of a CRS as a layer in the CRS that is shown."""
+    """Return shapes of a CRS as a layer in the CRS of the page; `name` is that of their file.
+
+    Raises TermselError without a CRS, or for more vertices than a page can show.
+    """
     import shapely
 
     if crs is None:
@@ -260,7 +269,7 @@ def _shapes_shown(name: str, shapes: Any, crs: str | None, page_crs: str) -> Vec
 
 
 def _say_far(maps: Maps) -> None:
-    """Note which layers lie apart from the first one."""
+    """Add a note to the maps on each layer that does not overlap the first one."""
     layers = [(raster.raster.name, raster.box(maps.shown)) for raster in maps.rasters]
     layers += [(layer.name, layer.box) for layer in maps.vectors]
     for name, box in layers[1:]:

@@ -45,13 +45,16 @@ _MATCHERS = ("sift", "phase", "structure")
 
 
 def is_possible(session: Session) -> bool:
-    """Return whether image and map can be matched."""
+    """Return whether termsel-match is installed, and there are an image and a raster of the map."""
     return (find_spec("termsel_match") is not None and session.image is not None
             and bool(session.maps.rasters))
 
 
 def require(session: Session) -> Prediction:
-    """Return the model that matching starts from; raises TermselError without what it takes."""
+    """Return the model that matching starts from.
+
+    Raises TermselError without termsel-match, an image, a raster of the map, or a model.
+    """
     if find_spec("termsel_match") is None:
         raise TermselError("matching needs the package termsel-match",
                            hint="Install it, and start termsel app again.")
@@ -96,7 +99,7 @@ def _shifts(matcher: Any, first: Any, second: Any) -> FloatArray:
 
 
 def _agreed_shift(shifts: FloatArray) -> FloatArray | None:
-    """Return the median of shifts that agree; None where too few do."""
+    """Return the median (2,) [px] of shifts (n, 2) that agree; None if too few agree."""
     if len(shifts) < MIN_MATCHES:
         return None
     median = np.median(shifts, axis=0)
@@ -108,7 +111,10 @@ def _agreed_shift(shifts: FloatArray) -> FloatArray | None:
 
 
 def _windows(session: Session, prediction: Prediction, record: Record) -> tuple[Any, Any]:
-    """Return the image around a point, and the map as the image would show it."""
+    """Return the window of the image around a point, and the map as the image would show it.
+
+    Raises TermselError if no raster of the map shows half of it.
+    """
     from termsel_match.matchers import Window
 
     assert session.image is not None
@@ -161,7 +167,7 @@ def _seen(raster: MapRaster, on_map: FloatArray, page_crs: str, width: int) -> t
 
 
 def _grey(pixels: Pixels) -> tuple[Any, Any]:
-    """Return the mean of the colours, and where there are any."""
+    """Return the mean of the colours (lines, samples), and where pixels are not transparent."""
     return pixels[..., :3].mean(axis=2).astype(np.float32), pixels[..., 3] > 0
 
 

@@ -58,7 +58,7 @@ OUTPUTS = {
 
 
 def run_arguments(session: Session) -> list[str]:
-    """Return the arguments of `termsel run` that repeat the session, from its folder."""
+    """Return the arguments of `termsel run` that repeat the session, called in its folder."""
     features = session.control.features(session.places.crs)
     arguments = ["run"]
     if len(features.points):
@@ -74,7 +74,8 @@ def run_arguments(session: Session) -> list[str]:
 
 
 def command_line(session: Session) -> str:
-    """Return the one line that repeats the session in a terminal."""
+    """Return the command line that repeats the session in a terminal: cd FOLDER && termsel run ...
+    """
     folder = shlex.quote(str(session.folder.absolute()))
     return f"cd {folder} && {shlex.join(['termsel', *run_arguments(session)])}"
 
@@ -106,7 +107,8 @@ def save(session: Session, name: str, image_id: object = None) -> list[Path]:
 
 
 def _update_result(session: Session, arguments: list[str], tables: Sequence[Path]) -> None:
-    """Run the command that writes the folder of the result, unless it is of this very control."""
+    """Run the command that writes the folder of the result, if control or files have changed since.
+    """
     control = tuple(table.read_bytes() for table in tables)
     made_from = (*arguments, *control, *_states(session))
     # A file within an archive, or on a server, may change unseen.
@@ -116,7 +118,10 @@ def _update_result(session: Session, arguments: list[str], tables: Sequence[Path
 
 
 def _states(session: Session) -> list[tuple[int, int] | None]:
-    """Return time and size of each file that a result is made from, and of the result itself."""
+    """Return time [ns] and size of each file that a result is made from, and of the result itself.
+
+    None for a file that cannot be looked at.
+    """
     files = session.files
     names = [name for name in (files.image, files.rpc, files.dem)
              if name is not None and not is_iiif(name)]
@@ -132,7 +137,10 @@ def _states(session: Session) -> list[tuple[int, int] | None]:
 
 
 def _option_of_image(image_id: object) -> list[str]:
-    """Return the option that names the IIIF image of an annotation."""
+    """Return the option that names the IIIF image of an annotation.
+
+    Raises TermselError if the id is no address.
+    """
     if not isinstance(image_id, str) or not image_id.startswith(("http://", "https://")):
         raise TermselError("an annotation is of an IIIF image, and its id is not known",
                            hint="Type its address above, such as https://example.org/iiif/map1.")
@@ -140,7 +148,10 @@ def _option_of_image(image_id: object) -> list[str]:
 
 
 def completed(command: Sequence[str], files: Files, folder: Path) -> list[str]:
-    """Return a command with the files of the session."""
+    """Return a command with {image} replaced by the session's, and with its DEM for a map.
+
+    Raises TermselError if the image is needed and is no file.
+    """
     if "{image}" in command and (files.image is None or is_iiif(files.image)):
         raise TermselError("a map needs the image as a file, and this session has none",
                            hint="Start `termsel app IMAGE --points points.csv`.")

@@ -23,13 +23,17 @@ _LOCK = Lock()  # objects of pyproj belong to one thread at a time
 
 
 def shown_crs(crs: str) -> str:
-    """Return the CRS in which a map with a CRS is shown."""
+    """Return the CRS in which coordinates of a CRS are shown.
+
+    Mercator for longitudes and latitudes.
+    """
     return MERCATOR if crs != LOCAL and is_geographic(crs) else crs
 
 
 @lru_cache
 def between(source: str, target: str) -> Any:
-    """Return what transforms x and y from one CRS to another; None where both are alike."""
+    """Return the transformer of x and y from one CRS to another; None if both are alike or local.
+    """
     from pyproj import CRS, Transformer
 
     if LOCAL in (source, target) or source == target:
@@ -39,7 +43,10 @@ def between(source: str, target: str) -> Any:
 
 
 def turned(transformer: Any, xy: Any, inverse: bool = False) -> FloatArray:
-    """Return x and y (n, 2) by a transformer, infinite where that cannot be."""
+    """Return x and y (n, 2) by a transformer (None changes nothing).
+
+    Infinite where it has no value.
+    """
     positions: FloatArray = np.asarray(xy, dtype=np.float64).reshape(-1, 2)
     if transformer is None:
         return positions
@@ -77,7 +84,7 @@ class Places:
 
     @property
     def plane(self) -> str:
-        """The CRS of x and y."""
+        """The CRS of x and y of the ground, without heights."""
         return horizontal(self.crs) or LOCAL
 
     def to_map(self, ground: Any) -> FloatArray:

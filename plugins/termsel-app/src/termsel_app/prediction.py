@@ -39,6 +39,7 @@ class Prediction:
 
     @property
     def _control(self) -> FeatureSet:
+        """The control that the model is fitted to."""
         fit = self.result.exported if isinstance(self.result, termsel.Result) else self.result
         control: FeatureSet = fit.control
         return control
@@ -125,9 +126,9 @@ class Prediction:
 
 
 def _ring(centre: FloatArray, sigma: FloatArray) -> FloatArray:
+    """Return the ellipse (m, 2) around a place that holds nine in ten errors of `sigma` (2,)."""
     # Errors of both axes are independent and normal: nine in ten lie within sqrt(2 ln 10) = 2.15
     # standard deviations.
-    """Return the ellipse (m, 2) around a place that holds nine in ten errors of `sigma` (2,)."""
     radius = NINE_IN_TEN * sigma
     circle = np.column_stack([np.sin(_TURN), np.cos(_TURN)])
     ring: FloatArray = centre + radius * circle

@@ -52,7 +52,7 @@ Answer = dict[str, Any]
 
 
 def prepare() -> None:
-    """Load what the first answer needs, before it is asked for."""
+    """Import what the first answer needs, so that it does not wait for that."""
     from termsel.toolkit.files import plan
 
     # Names of the package load their modules when they are first used.
@@ -98,7 +98,7 @@ def judged(question: Question, memory: Memory | None = None) -> Iterator[Answer]
 
 
 def _run(question: Question, memory: Memory | None) -> Result:
-    """Return the result of a run with the control of a question."""
+    """Return the result of `termsel.run` with the control of a question, and its RPC and DEM."""
     with tempfile.TemporaryDirectory(prefix="termsel-app-") as folder:
         # Read from files like any others, so that DEM, RPC and checks work as for a command.
         files = written(question.features, Path(folder))
@@ -110,7 +110,10 @@ def _run(question: Question, memory: Memory | None) -> Result:
 
 
 def written(features: FeatureSet, folder: Path) -> dict[str, Path]:
-    """Write points and lines as tables to a folder, and return their names."""
+    """Write points and lines as tables to a folder; return their paths by "points" and "lines".
+
+    A kind without features gets no table.
+    """
     files = {}
     if len(features.points):
         files["points"] = folder / "points.csv"
@@ -143,7 +146,10 @@ def figures(result: Result) -> Answer:
 
 
 def accuracy(result: Result) -> Answer | None:
-    """Return the surer of the predicted and the independent RMSE with its interval, px and metres.
+    """Return the RMSE that a report shows first, with its interval, in px and metres.
+
+    It is the predicted one or that of independent check points. `metres` is None if the size of a
+    pixel is not known; None altogether if there is neither RMSE.
     """
     predicted = charts.expected_of(result)
     # The same rule as on the first screen of a report.
@@ -164,7 +170,8 @@ def accuracy(result: Result) -> Answer | None:
 
 
 def metres_per_pixel(result: Result) -> float | None:
-    """Return the side of a pixel on the ground in the middle of the control [m], if it is known."""
+    """Return the side of a pixel on the ground [m] in the middle of the control; None if unknown.
+    """
     fit = result.exported
     ground = fit.control.ground_vertices()
     if not len(ground):
@@ -183,7 +190,10 @@ def metres_per_pixel(result: Result) -> float | None:
 
 
 def errors(result: Result) -> dict[str, Answer]:
-    """Return the residual of each feature [px]; of a line the larger of its two vertices."""
+    """Return the residual of each feature by id [px]: `line`, `sample` and `distance`.
+
+    Of a line the distance is the larger of its vertices', and `line` and `sample` are None.
+    """
     table: dict[str, Answer] = {}
     for row in result.residuals:
         # Rows are of vertices, and of all pieces of a line.
@@ -215,7 +225,7 @@ def prediction_errors(result: Result) -> dict[str, float]:
 
 
 def _fitted_to(result: Result) -> FeatureSet:
-    """Return what a choice is fitted to as control, without blunders, which spoil predictions."""
+    """Return the features that a choice is fitted to, as control; without blunders."""
     ids = result.estimation.features
     if ids is None:  # there are no selection points
         return result.fit.control.take(np.asarray(result.fit.used))
@@ -246,7 +256,10 @@ def chosen_lines(features: FeatureSet) -> Answer:
 
 
 def _next_places(result: Result) -> Answer:
-    """Return where a further point helps most, and whether one is worth while."""
+    """Return where a further point helps most (`next`), and whether one is worth while (`enough`).
+
+    `next` is empty if the model cannot say, and `text` of `enough` says why.
+    """
     from termsel.toolkit.files import plan
 
     try:

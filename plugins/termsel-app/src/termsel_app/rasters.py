@@ -93,7 +93,10 @@ class Raster:
         return limits
 
     def _sample_values(self) -> list[Any]:
-        """Return values of all bands (bands, n), NaN for none, of places all over the raster."""
+        """Return values of the bands shown, (bands, n) each, from all over the raster.
+
+        NaN for no data.
+        """
         from rasterio.windows import Window
 
         if self.dataset.overviews(1) or self.height * self.width <= LARGE**2:
@@ -110,6 +113,8 @@ class Raster:
                 for window, shape in windows]
 
     def _begin_overview(self) -> None:
+        """Start a thread that reads a reduced copy of the raster, which tiles are then made from.
+        """
         self._step = int(np.ceil(max(self.height, self.width) / OVERVIEW))
         shape = (-(-self.height // self._step), -(-self.width // self._step))
         self._overview = np.zeros((*shape, 4), dtype=np.uint8)
@@ -135,7 +140,12 @@ class Raster:
 
     def _read(self, box: tuple[float, float, float, float], shape: tuple[int, int],
               average: bool) -> Pixels:
-        """Return the pixels of a box inside the raster: top, left, height and width [px]."""
+        """Return the pixels (*shape, 4) of a box inside the raster.
+
+        Top, left, height and width [px].
+
+        Transparent once the raster is closed.
+        """
         from rasterio.enums import Resampling
         from rasterio.windows import Window
 
@@ -153,7 +163,7 @@ class Raster:
         return self.coloured(values, mask)
 
     def _mask(self, window: Any, shape: tuple[int, int]) -> NDArray[np.uint8] | None:
-        """Return the opacity of a window, 0 to 255; None where all is opaque."""
+        """Return the opacity of a window, 0 to 255, of this shape; None where all is opaque."""
         from rasterio.enums import MaskFlags
 
         flags = self.dataset.mask_flag_enums[0]
@@ -167,7 +177,10 @@ class Raster:
         return np.asarray(self.dataset.read_masks(1, window=window, out_shape=shape))
 
     def coloured(self, values: Any, mask: NDArray[np.uint8] | None) -> Pixels:
-        """Return values of the bands shown (bands, lines, samples) as colours."""
+        """Return values of the bands shown (bands, lines, samples) as colours (lines, samples, 4).
+
+        `mask` is their opacity, None for opaque.
+        """
         shape = values.shape[1:]
         pixels = np.empty((*shape, 4), dtype=np.uint8)
         pixels[..., 3] = 255 if mask is None else mask
@@ -186,6 +199,7 @@ class Raster:
         return pixels
 
     def _as_bytes(self, values: Any, band: int) -> Any:
+        """Return values of a band from black, 0, to white, 255; bytes stay as they are."""
         if self.limits is None:
             return values
         low, high = self.limits[band]
@@ -237,7 +251,7 @@ class Raster:
 
 
 def _colour_table(dataset: Any) -> Pixels | None:
-    """Return the colours of a palette (n, 4), if the raster has one."""
+    """Return the colours of a palette (n, 4) by index; None if the raster has no palette."""
     try:
         table = dataset.colormap(1)
     except ValueError:
@@ -250,7 +264,10 @@ def _colour_table(dataset: Any) -> Pixels | None:
 
 
 def _bands(dataset: Any, indexed: bool) -> list[int]:
-    """Return which bands are shown: three as colours, or one."""
+    """Return which bands are shown, from 1: red, green and blue, or a single one.
+
+    `indexed` says whether values are indices of a palette.
+    """
     from rasterio.enums import ColorInterp
 
     if indexed:
@@ -265,6 +282,7 @@ def _bands(dataset: Any, indexed: bool) -> list[int]:
 
 
 def _alpha(dataset: Any) -> int | None:
+    """Return the number of the band of opacity, from 1; None if there is none."""
     from rasterio.enums import ColorInterp
 
     kinds = list(dataset.colorinterp)
@@ -272,7 +290,7 @@ def _alpha(dataset: Any) -> int | None:
 
 
 def png(pixels: Pixels) -> bytes:
-    """Return pixels as a PNG file."""
+    """Return pixels (lines, samples, 4) as the content of a PNG file."""
     from PIL import Image
 
     file = BytesIO()
@@ -281,7 +299,7 @@ def png(pixels: Pixels) -> bytes:
 
 
 def refuse_giant(path: Path | str) -> None:
-    """Refuse a small file that states a huge raster, as `termsel rectify` does."""
+    """Raise TermselError for a small file that states a huge raster, as `termsel rectify` does."""
     require_rasterio()
     with open_raster(path) as dataset:
         refuse_empty_giant(dataset)

@@ -69,7 +69,7 @@ class Pages:
 
     @property
     def hosts(self) -> tuple[str, str]:
-        """What the Host of a request may be."""
+        """Values that the header Host of a request may have."""
         return (f"{ADDRESS}:{self.port}", f"localhost:{self.port}")
 
     @property
@@ -86,7 +86,7 @@ class Pages:
         return f"http://{ADDRESS}:{self.port}/{self.first}"
 
     def tell(self, message: dict[str, Any]) -> None:
-        """Send a message to all pages; in the thread of the server."""
+        """Send a message to all open pages; to be called in the thread of the server."""
         # Encoded once for all pages.
         text = json.dumps(message)
         # A copy, as a page that has gone is removed meanwhile.
@@ -100,7 +100,7 @@ class Guarded(RequestHandler):
     pages: Pages
 
     def initialize(self, pages: Pages) -> None:
-        """Take the session."""
+        """Keep the pages, which have the session; Tornado calls it before each request."""
         self.pages = pages
 
     def set_default_headers(self) -> None:
@@ -114,22 +114,22 @@ class Guarded(RequestHandler):
         self.set_header("Cross-Origin-Opener-Policy", "same-origin")
 
     def prepare(self) -> None:
-        """Refuse a request from elsewhere."""
+        """Raise HTTPError 403 for a request without the secret or from elsewhere."""
         if not is_allowed(self):
             raise HTTPError(403)
 
     def write_error(self, status_code: int, **_: Any) -> None:
-        """Answer nothing but the status."""
+        """Answer with the status alone, so that nothing is told to a stranger."""
         self.finish()
 
     def log_exception(self, *details: Any) -> None:
-        """Say nothing of what is refused, and of a fault all but the request with its secret."""
+        """Log a fault without its request, which has the secret; log nothing of a refusal."""
         if not isinstance(details[1], HTTPError):
             log.error("A request of the page failed.", exc_info=details)
 
     @property
     def session(self) -> Session:
-        """The session."""
+        """Session that the pages show."""
         return self.pages.session
 
     async def apart(self, task: Callable[..., Any], *arguments: Any) -> Any:
@@ -138,7 +138,10 @@ class Guarded(RequestHandler):
 
 
 def is_allowed(handler: RequestHandler, expected: str | None = None) -> bool:
-    """Return whether a request has the secret, comes to this server and from its page."""
+    """Return whether a request has the secret, comes to this server and from its page.
+
+    The secret is `expected`, or that of the pages.
+    """
     pages: Pages = handler.pages  # type: ignore[attr-defined]
     expected = expected or pages.secret
     # A website may send requests to this machine: only the secret in the address shows our page.
@@ -156,7 +159,7 @@ class Page(Guarded):
     """The page, and the files that belong to it."""
 
     def get(self, secret: str, name: str) -> None:
-        """Send a file of the page."""
+        """Send a file of the page, index.html for ""; raises HTTPError 404 for any other file."""
         name = name or "index.html"
         # A list instead of a folder: no path leads out of it.
         if name != "index.html" and name not in PAGE:
@@ -180,7 +183,7 @@ class Page(Guarded):
 
 
 def _origin(address: str) -> str:
-    """Return the scheme and server of an address of tiles."""
+    """Return scheme and server of an address of tiles, as the policy of a page names them."""
     scheme, _, path = address.partition("://")
     # {s} stands for one of several servers; a semicolon would begin another directive.
     return f"{scheme}://{path.partition('/')[0].replace('{s}', '*').replace(';', '')}"
@@ -190,7 +193,7 @@ class State(Guarded):
     """All that the page shows when it is opened."""
 
     def get(self, secret: str) -> None:
-        """Send the session."""
+        """Send what the page shows: the session's control, answers and setting, as JSON."""
         session = self.session
         self.finish({
             **session.state(), "answers": dict(session.answers),
@@ -198,7 +201,7 @@ class State(Guarded):
 
 
 def setting(session: Session, pages: Pages) -> dict[str, Any]:
-    """Return what does not change while the page is open."""
+    """Return what the page is told once, as it does not change: image, map, files and outputs."""
     size = session.size
     box = pages.box
     files_given = session.files
@@ -220,7 +223,7 @@ def setting(session: Session, pages: Pages) -> dict[str, Any]:
 
 
 def _name_of_image(session: Session) -> str | None:
-    """Return what the page calls the image; None where there is none."""
+    """Return the name of the image on the page; None without an image."""
     if session.served is not None:
         return session.served.id.rstrip("/").rpartition("/")[2]
     return None if session.image is None else session.image.name
@@ -240,7 +243,8 @@ class Tile(Guarded):
         self.finish(pixels)
 
     def _pixels(self, layer: str, level: int, column: int, row: int) -> bytes | None:
-        """Return a tile as PNG; None where there is none."""
+        """Return a tile of a layer (image, warped or mapN) as PNG; None if there is no such tile.
+        """
         session = self.session
         if layer == "image":
             return None if session.image is None else png(
@@ -290,6 +294,7 @@ class Call(Guarded):
 
 
 def _text(arguments: dict[str, Any], key: str) -> str:
+    """Return the text of an argument; raises TermselError if it is none."""
     value = arguments.get(key)
     if not isinstance(value, str):
         raise TermselError(f"{key} is no text")
@@ -297,6 +302,7 @@ def _text(arguments: dict[str, Any], key: str) -> str:
 
 
 def _names(arguments: dict[str, Any]) -> list[str]:
+    """Return the ids of an argument; raises TermselError if they are no list of texts."""
     value = arguments.get("ids")
     if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
         raise TermselError("ids are no list of names")
@@ -304,7 +310,8 @@ def _names(arguments: dict[str, Any]) -> list[str]:
 
 
 def _box(arguments: dict[str, Any]) -> tuple[float, float, float, float]:
-    """Return the box of a request, checked."""
+    """Return the box (x min, y min, x max, y max) of a request; raises TermselError if it has none.
+    """
     box = arguments.get("box")
     if not isinstance(box, list):
         raise TermselError("box is no list of coordinates")
@@ -342,7 +349,7 @@ class Events(WebSocketHandler):
     pages: Pages
 
     def initialize(self, pages: Pages) -> None:
-        """Take the session."""
+        """Keep the pages, which have the session; Tornado calls it before the connection."""
         self.pages = pages
 
     def check_origin(self, origin: str) -> bool:
@@ -350,33 +357,34 @@ class Events(WebSocketHandler):
         return origin in {f"http://{host}" for host in self.pages.hosts}
 
     def prepare(self) -> None:
-        """Refuse a request from elsewhere."""
+        """Raise HTTPError 403 for a connection without the secret, or not from this server's page.
+        """
         # Browsers open WebSockets across sites, but always say from where.
         if not is_allowed(self) or self.request.headers.get("Origin") is None:
             raise HTTPError(403)
 
     def write_error(self, status_code: int, **_: Any) -> None:
-        """Answer nothing but the status."""
+        """Answer with the status alone, so that nothing is told to a stranger."""
         self.finish()
 
     def log_exception(self, *details: Any) -> None:
-        """Say nothing of what is refused."""
+        """Log a fault without its request, which has the secret; log nothing of a refusal."""
         if not isinstance(details[1], HTTPError):
             log.error("The events of the page have failed.", exc_info=details)
 
     def open(self, *_: str, **__: str) -> None:
-        """Begin to show."""
+        """Add this page to those that hear of changes."""
         self.pages.open.add(self)
 
     def on_message(self, message: str | bytes) -> None:
         """Hear nothing: a page asks by other requests."""
 
     def on_close(self) -> None:
-        """Tell no more."""
+        """Remove this page from those that hear of changes."""
         self.pages.open.discard(self)
 
     def send(self, text: str) -> None:
-        """Send a message, unless the page has gone."""
+        """Send a message to the page; if that has gone, remove it from the open ones."""
         try:
             self.write_message(text)
         except WebSocketClosedError:
@@ -427,11 +435,11 @@ class First(Guarded):
     """The address that the browser is started with."""
 
     def prepare(self) -> None:
-        """Refuse all but the first request, and a request from elsewhere."""
+        """Raise HTTPError 403 for all but the first request, and for one from elsewhere."""
         if not is_allowed(self, self.pages.first):
             raise HTTPError(403)
         self.pages.first = secrets.token_urlsafe(24)  # which nobody knows
 
     def get(self, _: str) -> None:
-        """Lead to the page."""
+        """Redirect the browser to the page, whose address has the secret."""
         self.redirect(self.pages.address)

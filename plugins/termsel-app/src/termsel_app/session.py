@@ -46,12 +46,15 @@ FILE_KEYS = ("image", "points", "lines", "rpc", "dem")
 
 
 def is_name(value: object) -> bool:
-    """Return whether a value from a file can be the name of one."""
+    """Return whether a value from a file can be the name of one: printable text, not too long."""
     return isinstance(value, str) and value.isprintable() and len(value) < LONGEST_NAME
 
 
 def from_folder(name: str, folder: Path) -> str:
-    """Return the name of a file as a command in a folder gives it."""
+    """Return the name of a file relative to a folder, as a command that runs there gives it.
+
+    Addresses stay; so does a path on another drive of Windows, made absolute.
+    """
     if name.startswith("/vsi") or "://" in name:
         return name
     try:
@@ -64,7 +67,10 @@ def from_folder(name: str, folder: Path) -> str:
 
 
 def from_here(name: str, folder: Path) -> str:
-    """Return the name of a file that a folder names, as one gives it here."""
+    """Return the name of a file, relative to a folder, as one gives it in the current folder.
+
+    Addresses stay.
+    """
     if name.startswith("/vsi") or "://" in name:
         return name
     return os.path.normpath(folder / name)
@@ -147,11 +153,14 @@ class Session:
 
     @property
     def size(self) -> tuple[int, int] | None:
-        """Lines and samples of the image."""
+        """Lines and samples of the image; None if neither an image nor an option tells them."""
         return self.files.size if self.image is None else (self.image.height, self.image.width)
 
     def box(self) -> Box:
-        """Return the extent of the map: of its files, else of the control."""
+        """Return the extent (x min, y min, x max, y max) of map and control, with a margin.
+
+        By the model's footprint if there is neither, else a square of 1000 units.
+        """
         boxes = []
         if self.maps.box is not None:
             boxes.append(self.maps.box)
@@ -174,7 +183,10 @@ class Session:
     # Changes
 
     def change(self, patches: list[Patch]) -> None:
-        """Write a change to the journal, make it, show the pages, and have the control judged."""
+        """Write a change to the journal, make it, notify the pages, and have the control judged.
+
+        Raises TermselError, without a change, if a name is taken or the journal cannot be written.
+        """
         with self.lock:
             self._require_new(patches)
             # The journal first: what the page shows is never lost.
@@ -183,7 +195,8 @@ class Session:
             self._changed()
 
     def _require_new(self, patches: list[Patch]) -> None:
-        """Refuse changes that give two features one name, or make too many of them."""
+        """Raise TermselError for changes that give two features one name, or make too many of them.
+        """
         for patch in patches:
             name = None if patch.after is None else patch.after["id"]
             before = None if patch.before is None else patch.before["id"]
@@ -196,7 +209,7 @@ class Session:
                                hint="Give so many as a table: termsel run --points FILE.")
 
     def undo(self) -> None:
-        """Take back the last change."""
+        """Take back the last change; raises TermselError if there is none."""
         with self.lock:
             # Undone first, as only the control knows whether there is something to undo.
             self.control.undo()
@@ -204,14 +217,15 @@ class Session:
             self._changed()
 
     def redo(self) -> None:
-        """Do again what was undone."""
+        """Repeat the change that was undone last; raises TermselError if there is none."""
         with self.lock:
             self.control.redo()
             self._journal_or(self.control.undo, {"redo": True})
             self._changed()
 
     def _journal_or(self, revert: Callable[[], Any], entry: dict[str, Any]) -> None:
-        """Append an entry, or go back where that fails."""
+        """Append an entry to the journal; if that fails, call `revert` and raise the TermselError.
+        """
         try:
             self.journal.append(entry)
         except TermselError:
@@ -219,6 +233,7 @@ class Session:
             raise
 
     def _changed(self) -> None:
+        """Count the change, have the control judged, and tell the pages of it."""
         self.version += 1
         self.judge()
         self.tell({"kind": "control", **self.state()})
@@ -250,7 +265,7 @@ class Session:
                 None if self.files.dem is None else Path(self.files.dem)))
 
     def keep_answer(self, answer: Answer) -> None:
-        """Keep an answer of the worker in place of earlier ones, and tell the pages.
+        """Keep an answer of the worker in place of earlier ones, and notify the pages.
 
         `answer` is changed: its `result` is taken out, and its next points get their place on the
         `map`. An answer to any question but the last is passed over.
@@ -274,7 +289,7 @@ class Session:
             self.tell({"kind": "answer", **answer})
 
     def state(self) -> dict[str, Any]:
-        """Return the control as the page shows it."""
+        """Return the control as the page shows it: records, version, and how much can be undone."""
         with self.lock:
             return {"version": self.version, "asked": self.asked,
                     "records": [self._record_on_map(record)
@@ -282,7 +297,7 @@ class Session:
                     "undo": len(self.control.done), "redo": len(self.control.undone)}
 
     def _record_on_map(self, record: Record) -> Record:
-        """Return a record with where its ground places are on the map."""
+        """Return a record with its ground places on the map as `map`; None if it has none."""
         positions = _ground_places(record)
         on_map = self.places.to_map(positions).tolist() if positions else None
         if record["kind"] == "point" and on_map:
@@ -292,7 +307,10 @@ class Session:
     # What a page asks for
 
     def ground_of(self, xy: Any) -> list[list[float | None]]:
-        """Return ground coordinates of places on the map; a height is None if it is not known."""
+        """Return ground coordinates x, y, z of places on the map (n, 2); z is None if not known.
+
+        Raises TermselError outside the area of the CRS.
+        """
         ground = self.places.to_ground(xy)
         # Outside the area of a projection places have no coordinates.
         if not np.isfinite(ground[:, :2]).all():
@@ -332,18 +350,23 @@ class Session:
             return str(after["id"])
 
     def _with_height(self, ground: list[float | None]) -> list[float | None]:
+        """Return x, y and the height of the DEM there; None as height if the DEM has none."""
         height = self.places.heights(np.array([ground[:2]], dtype=np.float64))[0]
         return [*ground[:2], None if height != height else float(height)]
 
     def delete(self, names: list[str]) -> None:
-        """Delete features."""
+        """Delete the features of these ids as one change; ids that no feature has are passed over.
+        """
         with self.lock:
             records = [self.control.records[name] for name in names if name in self.control.records]
             if records:
                 self.change([Patch(record, None) for record in records])
 
     def add(self, points_given: Any) -> int:
-        """Add points with both places, as one change; return how many."""
+        """Add points of objects with `image` and `map` as one change; return how many.
+
+        Raises TermselError if they are no list of such objects.
+        """
         if not isinstance(points_given, list) or not all(
                 isinstance(point, dict) for point in points_given):
             raise TermselError("points were expected",
@@ -390,7 +413,10 @@ class Session:
         return len(patches)
 
     def predict(self, image: Any = None, xy: Any = None) -> dict[str, Any] | None:
-        """Return where a place of the image is on the map, or the other way round."""
+        """Return where a place of the image is on the map, or one of the map (`xy`) in the image.
+
+        See `Prediction.on_map` and `Prediction.in_image`; None as long as there is no model.
+        """
         prediction = self.prediction
         if prediction is None:
             return None
@@ -400,7 +426,8 @@ class Session:
 
 
 def checked_places(positions: Any) -> list[list[float]]:
-    """Return pairs of finite numbers that came from a page."""
+    """Return one or two pairs of finite numbers that came from a page; raises TermselError if not.
+    """
     if not isinstance(positions, list) or not 1 <= len(positions) <= 2:
         raise TermselError("these are no positions")
     # JSON knows no infinity, but Python reads it.
@@ -413,7 +440,7 @@ def checked_places(positions: Any) -> list[list[float]]:
 
 
 def _ground_places(record: Record) -> list[list[float]]:
-    """Return x and y of all ground places of a feature."""
+    """Return x and y of the ground places of a feature, up to two; [] if it has none."""
     if not record["ground"]:
         return []
     positions = [record["ground"]] if record["kind"] == "point" else record["ground"]
@@ -427,7 +454,10 @@ _WITHOUT_HEADER = {3: ("id", "x", "y"), 4: ("id", "x", "y", "z"),
 
 
 def _points_of_paste(text: str) -> Iterator[Record]:
-    """Yield the points of a table; raises TermselError with the line at fault."""
+    """Yield the points of a table that was pasted, columns told by a header or by their number.
+
+    Raises TermselError with the row at fault.
+    """
     lines = [line for line in text.splitlines() if line.strip()]
     # Tabs come from spreadsheets; a comma may be in a cell of a table with semicolons.
     separator = next((mark for mark in ("\t", ";", ",") if lines and mark in lines[0]), None)
@@ -462,7 +492,10 @@ def _points_of_paste(text: str) -> Iterator[Record]:
 
 def _cells(cells: Mapping[str, str], names: tuple[str, ...], number: int,
            ) -> list[float | None] | None:
-    """Return the numbers of some columns; None where the first are blank; a blank z is None."""
+    """Return the numbers of some columns of a row; None if either of the first two is blank.
+
+    A blank z is None. `number` is that of the row, for the TermselError if a cell is no number.
+    """
     if not all(cells.get(name) for name in names[:2]):
         return None
     values: list[float | None] = []
@@ -533,7 +566,7 @@ def open_session(files: Files, folder: Path, *, remote: bool = False,
 
 
 def _make(folder: Path, stack: ExitStack) -> None:
-    """Make a folder, which goes again where nothing is written to it."""
+    """Make a folder, which the stack removes again if it is still empty at the end."""
     try:
         if not folder.exists():
             folder.mkdir(parents=True)
@@ -544,12 +577,13 @@ def _make(folder: Path, stack: ExitStack) -> None:
 
 
 def _remove_empty(folder: Path) -> None:
+    """Remove a folder if it is empty."""
     with suppress(OSError):  # it is not empty
         folder.rmdir()
 
 
 def _require_same(files: Files, before: Files | None, folder: Path) -> None:
-    """Refuse to go on with a session of another image."""
+    """Raise TermselError if the session in a folder is of another image than the one given."""
     # An image may be added later, or be left out.
     if before is None or files.image is None or before.image is None:
         return
@@ -560,7 +594,7 @@ def _require_same(files: Files, before: Files | None, folder: Path) -> None:
 
 
 def records_of(features: FeatureSet) -> list[Record]:
-    """Return features as records of a session."""
+    """Return features as records; of lines with one id, the second gets the id ID.2, and so on."""
     points = features.points
     records = [{"id": name, "kind": "point", "role": role, "image": image,
                 "ground": _with_none(ground)}
@@ -578,11 +612,15 @@ def records_of(features: FeatureSet) -> list[Record]:
 
 
 def _with_none(ground: list[float]) -> list[float | None]:
+    """Return ground coordinates with None for a height that is NaN."""
     return [*ground[:2], None if ground[2] != ground[2] else ground[2]]
 
 
 def _crs(files: Files, features: FeatureSet | None, kept: Files | None) -> str | None:
-    """Return the CRS of the ground coordinates, as far as files and options say it."""
+    """Return the CRS of the ground coordinates; None if neither files nor options state it.
+
+    Raises TermselError if an option contradicts the session that is there, `kept`.
+    """
     # Coordinates in the journal are in the CRS that it began with.
     if kept is not None and kept.crs is not None:
         before = normalise(kept.crs)
@@ -599,7 +637,10 @@ def _crs(files: Files, features: FeatureSet | None, kept: Files | None) -> str |
 
 
 def _crs_of_maps(maps: Maps) -> str:
-    """Return the CRS of the first map for the ground coordinates."""
+    """Return the CRS of the first map for the ground coordinates.
+
+    Raises TermselError without a map.
+    """
     if maps.rasters:
         return maps.rasters[0].crs
     if maps.vectors or maps.tiles:

@@ -19,7 +19,10 @@ if TYPE_CHECKING:
 
 
 def answer_all(questions: Connection, remote: bool, drivers: Sequence[str]) -> None:
-    """Answer questions until there are no more; give up on one as soon as the next one is there."""
+    """Answer questions until the pipe is closed, each until the next one is there.
+
+    `remote` and `drivers` say which files may be read. It runs in a process of its own.
+    """
     from termsel import Memory
     from termsel_app.quality import judged, prepare
 
@@ -42,7 +45,8 @@ def answer_all(questions: Connection, remote: bool, drivers: Sequence[str]) -> N
 
 
 def _newest(questions: Connection) -> Question | None:
-    """Wait for a question, and return the newest of those that are there."""
+    """Wait for a question, and return the newest of those that have come; None to end the process.
+    """
     question: Question | None = questions.recv()
     while questions.poll():
         question = questions.recv()
@@ -71,21 +75,21 @@ class Worker:
         self._begin()
 
     def ask(self, question: Question) -> None:
-        """Have control judged."""
+        """Have a question answered by calls of `tell`; an earlier one is given up."""
         if self._process is None or not self._process.is_alive():
             self._begin()
         assert self._pipe is not None
         self._pipe.send(question)
 
     def close(self) -> None:
-        """End the process."""
+        """Kill the process, and wait for its end."""
         if self._process is not None:
             self._process.kill()
             self._process.join()
             self._process = None
 
     def _begin(self) -> None:
-        """Start the process that computes, and the thread that hears it."""
+        """Start the process that computes, and the thread that takes its answers."""
         context = multiprocessing.get_context("spawn")
         # A new process, since a fit in a thread would let the page wait for the interpreter.
         own_end, their_end = context.Pipe()
@@ -98,7 +102,7 @@ class Worker:
         Thread(target=self._listen, args=(own_end,), daemon=True).start()
 
     def _listen(self, pipe: Connection) -> None:
-        """Tell what the process answers, until it ends."""
+        """Call `tell` with what the process answers, and with a refusal (serial -1) if it dies."""
         while True:
             try:
                 answer = pipe.recv()

@@ -38,7 +38,7 @@ class InSpace:
 
 
 def independent_points(result: BlockResult, i: int) -> Points | None:
-    """Return the independent points of an image, or None."""
+    """Return the points of an image with the role independent; None if it has none."""
     features = result.block.images[i].features
     if features is None:
         return None
@@ -47,7 +47,7 @@ def independent_points(result: BlockResult, i: int) -> Points | None:
 
 
 def rmse(errors: FloatArray) -> float:
-    """Return the root mean square of distances (n, 2)."""
+    """Return the root mean square of the lengths of differences (n, 2); n is at least 1."""
     return float(np.sqrt((errors**2).sum(axis=1).mean()))
 
 
@@ -148,7 +148,10 @@ def _draw_variance_ratios(result: BlockResult, i: int, rng: np.random.Generator)
 
 
 def in_space(result: BlockResult) -> InSpace | None:
-    """Return the errors of independent points that two images or more see, by intersection."""
+    """Return the errors [m] of independent points that two images or more see, by intersection.
+
+    None if there are no such points.
+    """
     truth_of: dict[str, FloatArray] = {}
     rays_of: dict[str, list[tuple[int, FloatArray]]] = {}
     for i in range(len(result.block.images)):

@@ -65,13 +65,14 @@ def without_wrong_sensor(block: Block, adjusted: Adjusted,
 
 
 def stated_sensors(block: Block) -> list[str]:
-    """Return the sensors that images state, each once."""
+    """Return the sensors that images state, each once, in the order of the images; [] if none does.
+    """
     return list(dict.fromkeys(filter(None, (sensor_of(block, i) for i in range(
         len(block.images))))))
 
 
 def without_sensor(block: Block, sensor: str) -> Block:
-    """Return the block with an unknown sensor where it states this one."""
+    """Return the block with images of this sensor as images of an unknown one; others stay."""
     return replace(block, images=tuple(
         _image_without_sensor(image) if sensor_of(block, i) == sensor else image
         for i, image in enumerate(block.images)))
@@ -134,7 +135,10 @@ def _stated_sensor(image: BlockImage) -> str:
 
 
 def _sensor_in_words(block: Block, sensor: str) -> str:
-    """Return a sensor as the first image names it, and of a file the name alone."""
+    """Return a sensor as the first image that states it names it.
+
+    Of a file, its name without folders.
+    """
     return next(Path(_stated_sensor(image)).name for i, image in enumerate(block.images)
                 if sensor_of(block, i) == sensor)
 
@@ -153,7 +157,10 @@ def agrees_better(before: Adjusted, after: Adjusted, i: int) -> bool:
 
 
 def contradicted(adjusted: Adjusted) -> dict[int, Contradiction]:
-    """Return the images whose model the block contradicts, by number."""
+    """Return how far each image contradicts its model, by number; only those beyond chance.
+
+    Beyond chance: by less than the probability `CONTRADICTED_BELOW`. Empty if no image does.
+    """
     contradictions = ((i, _contradiction_of(adjusted, i))
                       for i in range(len(adjusted.state.cameras)))
     return {i: contradiction for i, contradiction in contradictions if contradiction is not None
@@ -161,7 +168,7 @@ def contradicted(adjusted: Adjusted) -> dict[int, Contradiction]:
 
 
 def _contradiction_of(adjusted: Adjusted, i: int) -> Contradiction | None:
-    """Return how far an image is from what its model knows; None if that is nothing."""
+    """Return how far an image's terms are from their priors; None if its model states none."""
     camera = adjusted.state.cameras[i]
     # Corrections of RPCs and polynomials have first guesses for priors, which nothing contradicts.
     if not isinstance(camera, PhysicalCamera):
@@ -171,7 +178,8 @@ def _contradiction_of(adjusted: Adjusted, i: int) -> Contradiction | None:
 
 
 def doubts_of_models(block: Block, adjusted: Adjusted) -> list[str]:
-    """Return which models are contradicted and yet in use, as sentences."""
+    """Return a sentence for each image whose model is contradicted and yet in use; [] if none is.
+    """
     return [f"Points and ties of {block.images[i].name} contradict what the model "
             f"{block.images[i].model!r} knows of cameras{_terms_in_words(contradiction)}. Its "
             "errors may be larger than is predicted: compare with auto."
@@ -211,7 +219,10 @@ def against_dem(ground: FloatArray, adjusted: Adjusted, dem: Surface) -> tuple[f
 
 
 def _terms_in_words(contradiction: Contradiction) -> str:
-    """Return how far which terms are off, as a part of a sentence."""
+    """Return which terms are off by how much, such as " (roll 4.1 standard deviations)".
+
+    "" for none.
+    """
     if not contradiction.terms:
         return ""
     return f" ({', '.join(contradiction.terms)} standard deviations)"

@@ -189,7 +189,8 @@ def _with_note_on_dem(result: BlockResult) -> BlockResult:
 
 
 def _height_errors(result: BlockResult) -> str:
-    """Return what images are off by where the DEM is, which no interval can know."""
+    """Return a sentence on how far images are off per 100 m of the DEM, which no interval includes.
+    """
     tie_rows = result.adjusted.solved.tie_rows[:len(result.block.images)]
     px_of_100_m = [100 * float(np.median(np.hypot(*rows.slopes[:, :, 2].T))) for rows in tie_rows
             if len(rows.tie)]
@@ -223,7 +224,10 @@ def _adjust_as_stated(block: Block, frame: Frame, progress: Callable[[float], No
 
 
 def _model(image: BlockImage) -> tuple[tuple[str, ...], PhysicalModel | None]:
-    """Return the columns of an image's RPC, and the model of one without, if it is named."""
+    """Return the columns that correct an image's RPC, () without one, and its physical model.
+
+    The model is None with an RPC, and with `auto`.
+    """
     if image.model == "auto":
         return groups_of("affine"), None
     return (groups_of(image.model), None) if image.rpc is not None else (
@@ -231,7 +235,7 @@ def _model(image: BlockImage) -> tuple[tuple[str, ...], PhysicalModel | None]:
 
 
 def _refuse_contradiction(adjusted: Adjusted, inputs: list[ImageInput]) -> None:
-    """Refuse ties that agree no better than places at random."""
+    """Raise TermselError if ties agree no better than places at random would."""
     extents = [np.ptp(image.measured.position, axis=0).max() for image in inputs
                if len(image.measured.tie) >= _EXTENT_TIES]
     # Positions at random differ by about a third of the image; real ties by a pixel or so.
@@ -243,7 +247,10 @@ def _refuse_contradiction(adjusted: Adjusted, inputs: list[ImageInput]) -> None:
 
 
 def _places(block: Block) -> FloatArray:
-    """Return places in the CRS of the block: of control, else of the RPCs."""
+    """Return the ground (n, 3) of control and the middles of RPCs in the CRS of the block.
+
+    Raises TermselError if there is neither.
+    """
     from termsel.toolkit.coordinates import transformation
 
     grounds = [image.features.points.ground for image in block.images if image.features is not None]
@@ -263,9 +270,9 @@ def _places(block: Block) -> FloatArray:
 
 
 def heights_of(block: Block, frame: Frame, dem: Surface | None) -> Heights:
-    """Return what is known of heights before."""
+    """Return what is known of heights beforehand, by RPCs, by the DEM and by control."""
     # Heights are taken where control is, as every image may see the same points.
-    control, stated, of_rows = _known(block)
+    control, stated, of_rows = _control_places(block)
     rpcs = [image.rpc for image in block.images if image.rpc is not None]
     if rpcs:
         mean = float(np.mean([rpc.ground_offset[2] for rpc in rpcs]))
@@ -284,8 +291,11 @@ def heights_of(block: Block, frame: Frame, dem: Surface | None) -> Heights:
         over[tells], tuple(renamed[rows] for rows in of_rows)), float(crowd))
 
 
-def _known(block: Block) -> tuple[FloatArray, BoolArray, list[IntArray]]:
-    """Return the places (k, 3) of control, which state their height, and those of images' rows."""
+def _control_places(block: Block) -> tuple[FloatArray, BoolArray, list[IntArray]]:
+    """Return the places (k, 3) of all control, which of them state a height, and each row's place.
+
+    The last has for each image the number among the k of each of its rows (see `own_control`).
+    """
     tables = [np.empty((0, 4))]
     rows = []
     count = 0

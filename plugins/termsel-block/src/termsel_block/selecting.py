@@ -131,7 +131,7 @@ class OwdisBlock(Problem):
         self._prior = design.T @ design, design.T @ target
 
     def evaluate(self, genes: BoolArray) -> Evaluation:
-        """Return the RMSE of the check points [px]."""
+        """Return the RMSE of the check points [px] of each selection, genes (n, candidates)."""
         genes = np.asarray(genes, bool)
         k = len(self._prior[1])
         rmse_of_batches = []
@@ -148,7 +148,7 @@ class OwdisBlock(Problem):
         return Evaluation(np.concatenate(rmse_of_batches)[:, None], np.zeros(len(genes)))
 
     def decode(self, genes: BoolArray) -> Selection:
-        """Return the names of what is selected: image:id of control, tie:id of ties."""
+        """Return the names of what is selected: control:image:id of features, tie:id of ties."""
         return Selection((), tuple(label for label, on in zip(self.genome.labels, genes,
                                                               strict=True) if on))
 
@@ -214,7 +214,7 @@ def _is_check(_: str, role: str) -> bool:
 
 
 def _with_off(image: BlockImage, is_off: Callable[[str, str], bool]) -> BlockImage:
-    """Return an image some of whose points are off."""
+    """Return an image with the role off for points of whose id and role `is_off` is true."""
     if image.features is None:
         return image
     points = image.features.points
@@ -249,7 +249,7 @@ def _is_out(image: str, control: set[tuple[str, str]], name: str, role: str) -> 
 
 
 def _independent(result: BlockResult) -> float | None:
-    """Return the RMSE of the independent points of all images."""
+    """Return the RMSE [px] of the independent points of all images; None if there are none."""
     errors = [points.image - result.project(i, points.ground)
               for i in range(len(result.block.images))
               if (points := independent_points(result, i)) is not None]
@@ -290,7 +290,8 @@ def _check_rows(block: Block, result: BlockResult) -> tuple[FloatArray, FloatArr
 
 
 def _prior_rows(result: BlockResult) -> tuple[FloatArray, FloatArray]:
-    """Return the rows of the priors of all parameters."""
+    """Return rows (p, p) and targets (p,) of the priors of all parameters, in standard deviations.
+    """
     state = result.adjusted.state
     sigma = np.sqrt(np.concatenate(state.variances))
     at = np.concatenate(state.parameters)
@@ -354,7 +355,8 @@ def _tie_rows(result: BlockResult, ties: IntArray,
 
 
 def _spread_ties(result: BlockResult, count: int) -> IntArray:
-    """Return ties in use in two images or more: all, or as many that are well distributed."""
+    """Return the numbers of ties in use in two images or more, sorted: all, or `count` well spread.
+    """
     state = result.adjusted.state
     n_images = np.zeros(len(state.ties))
     for tie_rows, used in zip(result.adjusted.solved.tie_rows[:-1], state.in_use, strict=True):
@@ -375,14 +377,15 @@ def _spread_ties(result: BlockResult, count: int) -> IntArray:
 
 
 def table_of(selected: Selected) -> str:
-    """Return a table of the control features and ties that are selected."""
+    """Return the selected control features and ties as CSV with the columns kind, image and id."""
     return csv_table([("kind", "image", "id"),
                       *(("control", image, name) for image, name in selected.control),
                       *(("tie", "", name) for name in selected.ties)])
 
 
 def text_of(selected: Selected) -> str:
-    """Return a summary."""
+    """Return the summary of a selection: its size, RMSEs, and whether it is proven, lines of text.
+    """
     lines = [f"Selected: {len(selected.control)} control features and {len(selected.ties)} ties, "
              f"by {selected.search.evaluations} evaluations.",
              f"Selection points: RMSE {selected.check:.2f} px; {selected.check_of_all:.2f} px with "

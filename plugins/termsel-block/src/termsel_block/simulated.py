@@ -116,9 +116,9 @@ def simulate_block(
     seed : int
     """
     rng = np.random.default_rng(seed)
-    true_sensors = [_sensor(i, size, gsd, views, bend, rng) for i in range(n_images)]
+    true_sensors = [_exact_scanner(i, size, gsd, views, bend, rng) for i in range(n_images)]
     # Jitter is drawn from generators of its own, so that the rest stays the same without it.
-    sensors = [_shaken(sensor, jitter[i], size, np.random.default_rng([seed, 2, i]))
+    sensors = [_jittered(sensor, jitter[i], size, np.random.default_rng([seed, 2, i]))
                if i < len(jitter) else sensor for i, sensor in enumerate(true_sensors)]
     width = size * gsd
     extent = _Extent(width, size, hills)
@@ -141,14 +141,14 @@ def simulate_block(
         n = control[i] if i < len(control) else 0
         is_control = stack >= 0
         # An image has the first n control points of its stack, and all independent points.
-        use = ~is_control | ((stack == i // 3) & (_rank(stack) < n))
+        use = ~is_control | ((stack == i // 3) & (_rank_in_stack(stack) < n))
         points = _points(sensor, (known_ground, use, is_control), noise, size, rng)
         # The first of the independent points judge a selection instead.
         judging = np.flatnonzero([role == "independent" for role in points.roles])
         roles = np.array(points.roles, object)
         roles[judging[:check]] = "check"
         points = replace(points, roles=tuple(roles.tolist()))
-        rpc = _vendor(true_sensors[i], bias, drift, size, vendor_height, rng) if rpcs else None
+        rpc = _vendor_rpc(true_sensors[i], bias, drift, size, vendor_height, rng) if rpcs else None
         images.append(BlockImage(f"I{i + 1}", FeatureSet(
             points, crs="EPSG:4979", image_size=(size, size)), rpc, size=(size, size)))
     return Simulated(Block("EPSG:4979", tuple(images), ties), tuple(sensors), ground)
@@ -164,17 +164,21 @@ def height(lonlat: FloatArray, hills: Hills = HILLS) -> FloatArray:
         + 60 * np.sin(east / 1.1 + 1 + c) + 40 * np.cos(north / 0.9 + d)))
 
 
-def _middle(stack: int, width: float) -> tuple[float, float]:
+def _middle_of_stack(stack: int, width: float) -> tuple[float, float]:
     """Return longitude and latitude of the ground that a stack of three images sees."""
     column, row = divmod(stack, _ROWS)
     step = _STACK_STEP * width / _DEGREE_METRES
     return LON + column * step / np.cos(np.radians(LAT)), LAT - row * step
 
 
-def _sensor(i: int, size: int, gsd: float, views: Sequence[tuple[float, float]], bend: float,
-            rng: np.random.Generator) -> Pushbroom:
-    """Return the scanner of the i-th image."""
-    middle = _middle(i // 3, size * gsd)
+def _exact_scanner(i: int, size: int, gsd: float, views: Sequence[tuple[float, float]],
+                   bend: float, rng: np.random.Generator) -> Pushbroom:
+    """Return the exact scanner of the i-th image, with an attitude that no vendor knows.
+
+    Angles vary about `views`, pairs of off-nadir angle and azimuth [deg]; `bend` is the standard
+    deviation of the acceleration of the attitude [px at the end of the image].
+    """
+    middle = _middle_of_stack(i // 3, size * gsd)
     angle = views[i % len(views)][0] + rng.uniform(-3, 3)
     azimuth = views[i % len(views)][1] + rng.uniform(-10, 10)
     sensor = pushbroom_at(
@@ -193,7 +197,8 @@ def _sensor(i: int, size: int, gsd: float, views: Sequence[tuple[float, float]],
     return replace(sensor, roll=slow(sensor.roll), pitch=slow(sensor.pitch))
 
 
-def _shaken(sensor: Pushbroom, amplitude: float, size: int, rng: np.random.Generator) -> Pushbroom:
+def _jittered(sensor: Pushbroom, amplitude: float, size: int,
+              rng: np.random.Generator) -> Pushbroom:
     """Return a scanner whose attitude jitters, by so many px of line and of sample."""
     time = size * sensor.line_period
 
@@ -206,7 +211,10 @@ def _shaken(sensor: Pushbroom, amplitude: float, size: int, rng: np.random.Gener
 
 def _seen_ties(sensors: list[Pushbroom], n: int, n_ties: int, extent: _Extent,
                rng: np.random.Generator) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Return places of ties, and line and sample with (tie, image) of each measurement."""
+    """Return places of ties (t, 3), and measurements: line and sample, and (tie, image), (m, 2).
+
+    Only ties that two images or more see are returned.
+    """
     grounds: list[FloatArray] = []
     images = []
     indices = []
@@ -214,7 +222,7 @@ def _seen_ties(sensors: list[Pushbroom], n: int, n_ties: int, extent: _Extent,
     width = extent.width
     size = extent.size
     hills = extent.hills
-    middles = np.array([_middle(i // 3, width) for i in range(n)])
+    middles = np.array([_middle_of_stack(i // 3, width) for i in range(n)])
     reach = 1.2 * width / _DEGREE_METRES
     for stack in range((n + 2) // 3):
         lon, lat = middles[3 * stack]
@@ -261,14 +269,14 @@ def _known_places(sensors: list[Pushbroom], control: list[int], independent: int
     # Control lies in one stack; independent points are spread over all.
     of_control = np.repeat(np.arange(len(control)), control)
     stack_of = np.concatenate([of_control, rng.choice(stacks, independent * stacks)])
-    middle = np.array([_middle(int(stack), width) for stack in stack_of]).reshape(-1, 2)
+    middle = np.array([_middle_of_stack(int(stack), width) for stack in stack_of]).reshape(-1, 2)
     away = rng.uniform(-half, half, middle.shape) / [np.cos(np.radians(LAT)), 1.0]
     return (np.column_stack([middle + away, height(middle + away, hills)]),
             np.concatenate([of_control, np.full(independent * stacks, -1)]).astype(np.intp))
 
 
-def _rank(stack: IntArray) -> IntArray:
-    """Return the number of each place within its stack."""
+def _rank_in_stack(stack: IntArray) -> IntArray:
+    """Return the number of each place within its stack, from 0."""
     return np.array([int((stack[:k] == number).sum()) for k, number in enumerate(stack)], np.intp)
 
 
@@ -288,9 +296,13 @@ def _points(sensor: Pushbroom, known: tuple[FloatArray, BoolArray, BoolArray], n
                       "control" if is_control[k] else "independent" for k in rows))
 
 
-def _vendor(sensor: Pushbroom, bias: float, drift: float, size: int, off: float,
-            rng: np.random.Generator) -> Rpc:
-    """Return the RPC of a scanner with errors of attitude, as its vendor makes it."""
+def _vendor_rpc(sensor: Pushbroom, bias: float, drift: float, size: int, off: float,
+                rng: np.random.Generator) -> Rpc:
+    """Return the RPC of a scanner with errors of attitude, as its vendor makes it.
+
+    `bias` and `drift` are the standard deviations of the errors [px], the latter at the end of the
+    image; `off` is by how much its heights are off [m].
+    """
     end = size * sensor.line_period / 2
 
     def wrong(angle: Angle) -> Angle:

@@ -72,7 +72,7 @@ def _read_sheet(sheet: Path, crs: str | None, meridian: dict[str, str]) -> Featu
 
 def _chosen_projection(sheets: list[FeatureSet], candidates: Path | None,
                        century: int | None) -> str:
-    """Return the projection of the series, and show how well each one predicts."""
+    """Print how well each projection predicts the sheets, and return the CRS of the chosen one."""
     from termsel_cameras.sheets.choosing import chosen_of, tried_projections
     from termsel_cameras.sheets.reading import candidates_of
 
@@ -87,7 +87,8 @@ def _chosen_projection(sheets: list[FeatureSet], candidates: Path | None,
 
 
 def _say_paper(series: Series) -> None:
-    """Say what the sheets show of another one."""
+    """Print what the paper of a series is like: scale, turn, stretch and shear, with their spreads.
+    """
     from termsel_cameras.sheets.paper import paper_of
 
     if not series.sheets:

@@ -108,12 +108,12 @@ def simulate_map(
     # A generator for each part, so that without one of them the others stay the same.
     of_paper, of_sheets, of_field, of_places, of_noise = np.random.default_rng(
         [1900, seed or 0]).spawn(5)
-    positions = _places(of_places, n_points)
+    positions = _spread(of_places, n_points)
     extent = np.array(SIZE) - 1.0
     # Distorted as drawn, then by the sheets, then by the paper, then measured.
     image = positions + _field(of_field, local, positions)
     image += _shift_by_sheet(of_sheets, sheets, joints, positions)
-    image = _shrunk(of_paper, shrinkage, image) + noise * of_noise.standard_normal(positions.shape)
+    image = _shrink(of_paper, shrinkage, image) + noise * of_noise.standard_normal(positions.shape)
     # Processors differ in the last bits.
     image = image.round(DIGITS)
     # Lines count downwards from the upper edge, northings upwards.
@@ -126,7 +126,7 @@ def simulate_map(
     return FeatureSet(points, no_lines(), CRS, SIZE, noise)
 
 
-def _places(rng: Generator, count: int) -> FloatArray:
+def _spread(rng: Generator, count: int) -> FloatArray:
     """Return places on the map [px], spread out by best candidates (Mitchell 1991)."""
     positions = np.empty((count, 2))
     for i in range(count):
@@ -138,7 +138,7 @@ def _places(rng: Generator, count: int) -> FloatArray:
 
 
 def _field(rng: Generator, size: float, positions: FloatArray) -> FloatArray:
-    """Return the local distortion at places [px], shape (n, 2)."""
+    """Return a smooth random shift at places (n, 2) [px], of standard deviation `size` [px]."""
     length = DISTORTION_LENGTH * max(SIZE)
     shift = np.empty(positions.shape)
     for axis in (0, 1):
@@ -154,7 +154,7 @@ def _field(rng: Generator, size: float, positions: FloatArray) -> FloatArray:
 
 def _shift_by_sheet(rng: Generator, sheets: tuple[int, int], size: float,
                     positions: FloatArray) -> FloatArray:
-    """Return the shift of places by the sheets they are on [px], shape (n, 2)."""
+    """Return the shift of places (n, 2) [px] by the sheets they are on; 0 on a single sheet."""
     if sheets == (1, 1):
         return np.zeros(positions.shape)
     extent = np.array(SIZE) / sheets
@@ -169,7 +169,7 @@ def _shift_by_sheet(rng: Generator, sheets: tuple[int, int], size: float,
                                         turn * line + scale * sample], axis=1))
 
 
-def _shrunk(rng: Generator, shrinkage: float, image: FloatArray) -> FloatArray:
+def _shrink(rng: Generator, shrinkage: float, image: FloatArray) -> FloatArray:
     """Return image positions on paper that shrank about its middle and was scanned at a slant."""
     middle = (np.array(SIZE) - 1.0) / 2
     u = (image - middle) / middle

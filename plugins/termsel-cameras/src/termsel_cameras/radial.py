@@ -117,6 +117,7 @@ class Radial(SensorModel):
 
 
 def _options(degree: int, largest: int) -> tuple[Option, ...]:
+    """Return the options of a model: degree (with its default and largest value) and centre."""
     return (Option("degree", degree, "Total degree of the polynomials.", int, 1, largest),
             Option("centre_line", 0.0, _CENTRE.format("line"), float, -1.0, 1.0),
             Option("centre_sample", 0.0, _CENTRE.format("sample"), float, -1.0, 1.0))

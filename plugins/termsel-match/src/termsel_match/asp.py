@@ -95,7 +95,7 @@ def read_matches(path: Path) -> tuple[FloatArray, FloatArray]:
 
 
 def _counts(head: bytes) -> tuple[int, int] | None:
-    """Return the two counts of a binary file; None if it is none."""
+    """Return the two counts that the head of a binary file states; None if it is no match file."""
     if len(head) < _COUNTS + _RECORD.size:
         return None
     counts = int.from_bytes(head[:8], "little"), int.from_bytes(head[8:_COUNTS], "little")
@@ -107,7 +107,10 @@ def _counts(head: bytes) -> tuple[int, int] | None:
 
 
 def _binary(content: bytes, count: int, path: Path) -> tuple[FloatArray, FloatArray]:
-    """Return line and sample of the points of both images, of a binary file."""
+    """Return line and sample (n, 2) [px] of the points of both images, of a binary file.
+
+    Raises TermselError if the file is shorter or longer than its counts say.
+    """
     # Bytes of a number of the descriptor, by the version of ASP.
     for width in (4, 8):
         positions: list[tuple[float, float]] = []
@@ -127,6 +130,8 @@ def _binary(content: bytes, count: int, path: Path) -> tuple[FloatArray, FloatAr
 
 
 def _is_interest_point(cells: Sequence[str]) -> bool:
+    """Return whether the cells of a line of text are an interest point: enough, with x and y first.
+    """
     try:
         return len(cells) >= _POINT_CELLS and all(isfinite(float(cell)) for cell in cells[:2])
     except ValueError:

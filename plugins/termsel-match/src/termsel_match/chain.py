@@ -215,7 +215,11 @@ def judge(
 
 
 def model_for(start: Path | str | None, image: Path) -> tuple[str, dict[str, Any]]:
-    """Return the model by what there is to refine, and its options."""
+    """Return the name of a model that corrects a start, and its options.
+
+    It is the drift of an RPC where the start (or else the image) has one, and an affine map
+    otherwise.
+    """
     path = image if start is None else Path(start)
     # A result, which keeps its RPC as it was.
     if path.is_dir():
@@ -232,7 +236,10 @@ def model_for(start: Path | str | None, image: Path) -> tuple[str, dict[str, Any
 def _evidence(image: Path | str, reference: Path | str | None, candidates: Candidates,
               selected: Selected, *, dem: Path | str, extent: str, seed: int,
               masks: Sequence[Path | str]) -> tuple[Evidence, Bounds | None]:
-    """Return what the candidates say, and the bounds of the map in their CRS, if any."""
+    """Return what candidates say of the model, and the bounds that the map gets in their CRS.
+
+    The bounds (least x and y, largest x and y) are None unless `extent` is "reference".
+    """
     result = selected.result
     bounds = None
     repeats = (0.0, 0.0)
@@ -251,7 +258,7 @@ def _evidence(image: Path | str, reference: Path | str | None, candidates: Candi
             # Chips are smaller than what is looked at.
             if not overlap.any():
                 # Then the places next to candidates stand for what the chips show.
-                overlap = _near(candidates.points.image, picture.size, overlap)
+                overlap = _overlap_or_near(candidates.points.image, picture.size, overlap)
             if extent == "reference":
                 bounds = outline
         mapped = everywhere if bounds is None else overlap
@@ -283,8 +290,8 @@ def _ground_shown(files: list[Path], picture: GreyRaster, model: Start, dem: Pat
     return overlap, (float(low[0]), float(low[1]), float(high[2]), float(high[3])), repeats
 
 
-def _near(positions: FloatArray, size: tuple[int, int], overlap: Mask) -> Mask:
-    """Return which of the places spread over an image is the nearest to some place."""
+def _overlap_or_near(positions: FloatArray, size: tuple[int, int], overlap: Mask) -> Mask:
+    """Return `overlap` (COVERS, COVERS) with the places nearest to positions (n, 2) [px] added."""
     near = overlap.copy()
     # From pixels to the nearest of the places that are spread evenly.
     at = np.round(positions / (np.array(size) - 1) * (np.array(overlap.shape) - 1)).astype(int)

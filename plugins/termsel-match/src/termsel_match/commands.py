@@ -80,7 +80,12 @@ def reference_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def matcher_of(name: str | None, settings: tuple[str, ...]) -> Matcher | None:
-    """Return the matcher that is asked for, with its options; None for the usual ones."""
+    """Return the matcher of a name with its options.
+
+    None without a name, which means the usual ones.
+
+    Raises TermselError for options without a name, or that are not KEY=VALUE.
+    """
     if name is None and settings:
         raise TermselError("--set is for options of a matcher, and none is named",
                            hint="Add --matcher NAME.")
@@ -344,7 +349,7 @@ def match_example(folder: Path, size: int, seed: int, off: float) -> None:
 
 def next_map(image: Path, reference: Path, points: Path, dem: Path | None,
              start: str | None, masks: Sequence[str] = ()) -> str:
-    """Return the command that makes a map by candidates."""
+    """Return the command line that makes a map by the candidates in a file of points."""
     words = ["termsel auto-georeference", quote(str(image)), "--points", quote(str(points)),
              "--reference", quote(str(reference)),
              "--dem", "DEM" if dem is None else quote(str(dem))]
@@ -356,7 +361,7 @@ def next_map(image: Path, reference: Path, points: Path, dem: Path | None,
 
 
 def next_run(start: str | None, image: Path, lines: Path) -> str:
-    """Return the command that selects among candidate lines, of which most may be wrong."""
+    """Return the command line that selects among candidate lines, of which most may be wrong."""
     from termsel_match.chain import model_for
 
     model, _ = model_for(start, image)
@@ -381,7 +386,10 @@ def refuse_output(output: Path, overwrite: bool, *reads: object) -> None:
 
 
 def refuse_folder(folder: Path | None) -> None:
-    """Refuse a folder that exists or cannot be made, before any long computation."""
+    """Raise TermselError if a folder exists or cannot be made, before any long computation.
+
+    None, for no folder, is accepted.
+    """
     if folder is None:
         return
     if folder.exists():
@@ -414,7 +422,10 @@ def show_log() -> None:
 
 @contextmanager
 def bar(title: str, quiet: bool) -> Iterator[Callable[[float], None] | None]:
-    """Yield what shows the share that is done: a bar, or a line every ten seconds in a log."""
+    """Yield a function that shows the share that is done (0 to 1); None if `quiet`.
+
+    It draws a bar on a terminal, and writes a line every ten seconds to a log.
+    """
     if quiet:
         yield None
         return

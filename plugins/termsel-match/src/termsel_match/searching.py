@@ -11,7 +11,7 @@ from termsel import FeatureSet
 
 def searched(problem: str, features: FeatureSet, model: str, options: Mapping[str, Any], *,
              seed: int, criterion: str | None = None) -> tuple[str, ...]:
-    """Return the features that a search selects, without the comparisons that a run makes."""
+    """Return the ids of the features that a search selects, without the comparisons of a run."""
     # As `termsel run` prepares it, so that options and defaults are the same.
     task = termsel.prepare(problem, features=features, model=model, criterion=criterion,
                            options=dict(options))

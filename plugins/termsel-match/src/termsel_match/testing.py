@@ -101,7 +101,7 @@ def leaves_windows(matcher: Matcher) -> None:
 
 
 def cases(thing: type[Matcher] | Matcher) -> list[Case]:
-    """Return a matcher, with the options it has."""
+    """Return the one case of a matcher: with its options, or the defaults of a class."""
     return [Case(label(thing, {}), lambda: instance(thing))]
 
 
@@ -110,6 +110,7 @@ SUITE = Suite((declaration, finds_a_shift, stays_within_the_windows, nothing_whe
 
 
 def _matched(matcher: Matcher, first: Window, second: Window) -> Matches:
+    """Return what a matcher finds in two windows, once it is known to be valid."""
     matches = matcher.match(first, second, SEARCH)
     problem = fault(matcher, matches)
     require(problem is None, f"match() {problem}")

@@ -159,8 +159,8 @@ def belief(model: RpcAffine, features: FeatureSet, scaling: Scaling,
 
 
 def _vectors(errors: FloatArray, scaled: FeatureSet) -> FloatArray:
-    # Normals of lines: errors of lines have no direction along them.
     """Return errors of rows [px] as vectors of points, then of vertices of lines, shape (m, 2)."""
+    # Normals of lines: errors of lines have no direction along them.
     count = 2 * len(scaled.points)
     normals = np.repeat(line_normals(scaled.lines)[0], 2, axis=0)
     return np.concatenate([errors[:count].reshape(-1, 2), errors[count:, None] * normals])

@@ -142,7 +142,11 @@ class _Run(Steps):
         self.large = sum(len(camera.groups) for camera in state.cameras) > _SLOW
 
     def iterate(self, *, robust: bool, limit: int, report: Callable[[float], None]) -> int:
-        """Make steps until nothing moves; return how many."""
+        """Make steps until nothing moves by `CONVERGED` px; return how many were made.
+
+        At most `limit` are made; `converged` says whether they were enough. `report` is called with
+        the share of `limit` that is done, `robust` is whether weights fall with the residuals.
+        """
         self.converged = False
         for step in range(limit):
             report(step / limit)
@@ -211,7 +215,11 @@ class _Run(Steps):
         return [integrated.draws[:, columns] for columns in loose.reduced.slices[:-1]]
 
     def estimate(self, robust: bool) -> bool:
-        """Estimate the standard deviations and variances; return whether they settled."""
+        """Estimate the variances of ties, control, heights and parameters from the last solution.
+
+        Each is about a sum of weighted squares over its redundancy. Returns whether the standard
+        deviations of ties, control and heights changed by less than the part `_SETTLED`.
+        """
         state = self.state
         covariances = self.solved.image_covariances[:-1]
         before = np.array([state.sigma_ties, state.sigma_control, self.heights.sigma])
@@ -269,7 +277,12 @@ class _Run(Steps):
         return bool(np.abs(after / before - 1).max() < _SETTLED)
 
     def grow(self, fixed: Sequence[bool]) -> bool:
-        """Add columns to the images whose residuals support them; return whether any do."""
+        """Add columns to the images whose residuals support them.
+
+        Return whether any image got some.
+
+        `fixed` says of each image whether the user asks for its correction; it may be empty.
+        """
         state = self.state
         grown = False
         for i, (camera, measured, residual) in enumerate(zip(
@@ -295,7 +308,11 @@ class _Run(Steps):
         return grown
 
     def drop(self, evidence: list[dict[str, float]], fixed: Sequence[bool]) -> bool:
-        """Drop the groups that the evidence is against; return whether there were any."""
+        """Drop groups of columns that the evidence is against; return whether any was dropped.
+
+        The logarithm of the Bayes factor of each group that was weighed is put into `evidence`, a
+        dict for each image. `fixed` is as for `grow`.
+        """
         state = self.state
         dropped = False
         for i, (camera, covariance) in enumerate(
@@ -325,7 +342,10 @@ class _Run(Steps):
         return dropped
 
     def leave_out(self) -> bool:
-        """Mark measurements as blunders, and take back what agrees; return whether any changed."""
+        """Mark measurements as blunders, and take back what agrees; return whether any changed.
+
+        A tie needs two images that use it; both rows of a point or line of control go together.
+        """
         state = self.state
         of_ties, of_control = self.residuals()
         changed = False

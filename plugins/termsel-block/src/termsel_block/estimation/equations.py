@@ -72,11 +72,14 @@ class Solved:
 
     @cached_property
     def image_covariances(self) -> list[FloatArray]:
-        """Covariance of each image's parameters."""
+        """Covariance (p, p) of each image's parameters, in the order of the images."""
         return self.reduced.image_covariances()
 
     def at(self, step: FloatArray, covariance: FloatArray) -> Solved:
-        """Return this with another step and covariance of all parameters, and the ties' by them."""
+        """Return this solution with another step (all parameters) and their covariance.
+
+        Steps of the ties follow from it: x = H^-1 (b - B^T p).
+        """
         steps = tuple(step[columns] for columns in self.reduced.slices)
         # Ties follow the images: x = H^-1 (b - B^T p), so that they change by H^-1 B^T (old - new).
         change = np.zeros_like(self.ties)
@@ -131,19 +134,22 @@ class Reduced:
                               options={"SymmetricMode": True}).solve
 
     def whole(self) -> FloatArray:
-        """Return the matrix itself."""
+        """Return the reduced matrix itself, dense, (size, size)."""
         matrix = self._matrix
         return np.asarray(matrix if isinstance(matrix, np.ndarray) else matrix.toarray())
 
     def with_inverse(self, covariance: FloatArray) -> Reduced:
-        """Return this with a covariance that knows more than the matrix."""
+        """Return a copy whose covariance is this one, such as a posterior's, not the inverse."""
         copied = copy(self)
         copied.inverse = covariance
         return copied
 
     @cached_property
     def inverse(self) -> FloatArray | None:
-        """The covariance of all parameters, or None where it is too large."""
+        """The covariance of all parameters (size, size); None if they are more than `WHOLE`.
+
+        Raises numpy.linalg.LinAlgError if the matrix is not positive definite.
+        """
         if self._size > WHOLE:
             return None
         if isinstance(self._matrix, np.ndarray):
@@ -156,7 +162,7 @@ class Reduced:
         return np.asarray(np.triu(half) + np.triu(half, 1).T)
 
     def image_covariances(self) -> list[FloatArray]:
-        """Return the covariance of each image's parameters."""
+        """Return the covariance (p, p) of each image's parameters, in chunks if they are many."""
         if self.inverse is not None:
             return [self.inverse[columns, columns] for columns in self.slices]
         blocks = []
@@ -165,7 +171,7 @@ class Reduced:
         return list(chain.from_iterable(blocks))
 
     def _diagonal_blocks(self, first: int, end: int) -> list[FloatArray]:
-        """Return the blocks of the inverse of images that begin in a range of columns."""
+        """Return the inverse's diagonal blocks of images whose columns begin in first..end - 1."""
         in_range = [columns for columns in self.slices if first <= columns.start < end]
         if not in_range:
             return []
@@ -282,7 +288,11 @@ def solve(
 def _reduced_matrix(diagonal: Sequence[FloatArray], half: Sequence[FloatArray],
                     sharing: Sequence[Shared], sizes: Sequence[int],
                     ) -> FloatArray | sparse.csc_matrix:
-    """Return the matrix of the images alone, dense where it is small."""
+    """Return the matrix of the images alone: A_ii - sum of B_i H^-1 B_j^T over common ties.
+
+    `half` is B_i H^(-1/2) of each measurement (n, p, 3). Dense up to `DENSE` parameters, else
+    sparse.
+    """
     total = sum(sizes)
     ends = np.cumsum(sizes)
     begin = ends - sizes

@@ -102,7 +102,10 @@ def start(images: Sequence[ImageInput], count: int, frame: Frame, heights: Heigh
 
 
 def _camera_by_own_data(image: ImageInput, frame: Frame) -> Camera | None:
-    """Return the camera of an image by its RPC or its control; None where it has neither."""
+    """Return the camera of an image by its RPC or else its control.
+
+    None if it has too little of both.
+    """
     if image.rpc is not None:
         # An RPC comes before control, which then corrects it.
         return RpcCamera(image.rpc, frame, image.columns)
@@ -169,7 +172,8 @@ def _refuse_elsewhere(images: Sequence[ImageInput], started: Started, count: int
 
 
 def _polynomial(local: FloatArray, image: FloatArray) -> PolynomialCamera:
-    """Return the polynomial whose coordinates fit an area of ground and image."""
+    """Return an empty polynomial, scaled to the area that places (n, 3) and positions (n, 2) span.
+    """
     low = local.min(axis=0)
     high = local.max(axis=0)
     image_low = image.min(axis=0)
@@ -181,7 +185,7 @@ def _polynomial(local: FloatArray, image: FloatArray) -> PolynomialCamera:
 
 def _first_parameters(camera: Camera, local: FloatArray, normal: FloatArray,
                       value: FloatArray) -> FloatArray:
-    """Return the parameters that a camera begins with."""
+    """Return the parameters (p,) that a camera begins with: its own, or by rows of known places."""
     if isinstance(camera, PhysicalCamera):
         return camera.start
     assert isinstance(camera, LinearCamera)
@@ -190,7 +194,10 @@ def _first_parameters(camera: Camera, local: FloatArray, normal: FloatArray,
 
 def _fit_parameters(camera: LinearCamera, local: FloatArray, normal: FloatArray, value: FloatArray,
                     ) -> FloatArray:
-    """Return parameters by rows of known places (see `OwnControl`) and priors, robustly."""
+    """Return parameters (p,) by rows of known places (see `OwnControl`) and priors, robustly.
+
+    Zeros if there are no rows.
+    """
     parameters = np.zeros(len(camera.groups))
     if not len(value):
         return parameters
@@ -207,7 +214,8 @@ def _fit_parameters(camera: LinearCamera, local: FloatArray, normal: FloatArray,
 
 def _model_by_ties(image: ImageInput, is_located: BoolArray, ties: FloatArray, frame: Frame,
                    ) -> tuple[Camera, FloatArray]:
-    """Return the model of an image that sees ties whose places are known."""
+    """Return the camera of an image by the ties it sees that have places, and its parameters (p,).
+    """
     local = ties[image.measured.tie[is_located]]
     position = image.measured.position[is_located]
     camera = _polynomial(local, position) if image.physical is None else \
@@ -218,7 +226,7 @@ def _model_by_ties(image: ImageInput, is_located: BoolArray, ties: FloatArray, f
 
 
 def _robust_ridge(rows: FloatArray, aim: FloatArray, variances: FloatArray) -> FloatArray:
-    """Return robust estimates under independent priors."""
+    """Return robust estimates (p,) of `rows` x = `aim` under independent priors of zero mean."""
     weight = np.ones(len(aim))
     estimates: FloatArray = np.zeros(rows.shape[1])
     for _ in range(_ROUNDS):
@@ -234,7 +242,10 @@ def _robust_ridge(rows: FloatArray, aim: FloatArray, variances: FloatArray) -> F
 
 def _locate_ties(images: Sequence[ImageInput], started: Started, ties: FloatArray,
                  located: BoolArray, heights: Heights) -> tuple[FloatArray, BoolArray]:
-    """Return the places of ties seen by two or more images that have models."""
+    """Return the places (t, 3) of all ties, and which of them two or more started images see (t,).
+
+    A tie that fewer see keeps the place it had.
+    """
     # First where affine maps of the images put them, on average, at middle heights.
     count = np.zeros(len(ties))
     total = np.zeros((len(ties), 3))
@@ -265,7 +276,11 @@ def _locate_ties(images: Sequence[ImageInput], started: Started, ties: FloatArra
 
 def intersect(start: FloatArray, rays: Sequence[Rays], heights: Heights | None = None,
               ) -> FloatArray:
-    """Return where the rays of images meet, by least squares, from a start (t, 3) [m]."""
+    """Return where the rays of images meet, by least squares, from a start (t, 3) [m].
+
+    `rays` has for each image its camera, its parameters, the numbers of its ties (n,) and their
+    line and sample (n, 2). A tie whose rays are parallel stays near its start.
+    """
     ties = start.copy()
     for _ in range(_ROUNDS):
         # Heights, where there are any, hold what nearly parallel rays leave open.
@@ -299,7 +314,10 @@ def _affine_inverse(camera: Camera, parameters: FloatArray) -> FloatArray:
 
 
 def _residual_spread(images: Sequence[ImageInput], state: State) -> float:
-    """Return a robust standard deviation of all residuals at the start [px]."""
+    """Return a robust standard deviation of all ties' residuals at the start [px].
+
+    1 without images.
+    """
     away = [image.measured.position - camera.project(parameters, state.ties[image.measured.tie])
             for image, camera, parameters in zip(
                 images, state.cameras, state.parameters, strict=True)]
@@ -309,7 +327,8 @@ def _residual_spread(images: Sequence[ImageInput], state: State) -> float:
 
 def _refuse_unheld(images: Sequence[ImageInput], waiting: Sequence[int],
                    located: BoolArray) -> None:
-    """Refuse images that nothing holds, by name and with what each has."""
+    """Raise TermselError for images that nothing holds, with the control and located ties each has.
+    """
     named = [f"{images[i].name!r} ({len(images[i].control) // 2} control features, "
              f"{int(located[images[i].measured.tie].sum())} ties whose ground positions other "
              "images give)"

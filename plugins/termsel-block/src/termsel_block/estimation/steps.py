@@ -109,7 +109,10 @@ class Steps:
                                hint="Give control to an image, or RPCs, or more ties.") from error
 
     def _take_step(self, robust: bool, wide: float) -> None:
-        """Take the step, or the part of it that does not make things worse."""
+        """Take the step, halved until the cost no longer rises.
+
+        The state stays where none is finite.
+        """
         state = self.state
         solved = self.solved
         heights = self.heights
@@ -141,7 +144,10 @@ class Steps:
             heights.offset = offset
 
     def _cost(self, robust: bool, wide: float) -> float:
-        """Return what a step makes less: twice the negative logarithm of the posterior."""
+        """Return twice the negative logarithm of the posterior, up to a constant.
+
+        What a step makes less.
+        """
         state = self.state
         of_ties, of_control = self.residuals()
         total = self.heights.cost(state.ties)
@@ -229,7 +235,10 @@ class Steps:
 
     def _equations_of_control(self, i: int, camera: Camera, control: OwnControl, robust: bool,
                               ) -> tuple[FloatArray, FloatArray]:
-        """Return what an image's control adds to its normal equations."""
+        """Return what an image's control adds to its normal equations.
+
+        (p, p) and (p,), 0 without control.
+        """
         p = len(camera.groups)
         if not len(control):
             return np.zeros((p, p)), np.zeros(p)
@@ -256,7 +265,10 @@ class Steps:
         return rows, control.value - (control.normal * computed).sum(axis=1)
 
     def moved(self) -> FloatArray:
-        """Return how far the last step moved any tie or control in each image, at most [px]."""
+        """Return how far the last step moved any tie in each image, at most (images,) [px].
+
+        Of an image without ties it is the largest step of a parameter.
+        """
         return np.array([
             # Without ties, the step of the parameters says how far an image moved.
             float(np.abs(moved[rows.weight > 0] if len(rows.tie) else step).max(initial=0.0))
@@ -264,13 +276,14 @@ class Steps:
                                          self._tie_moves(), strict=True)])
 
     def _tie_moves(self) -> list[FloatArray]:
-        """Return how far the last step moves the ties in each image, to first order [px]."""
+        """Return for each image how far the last step moves its ties, to first order, (n, 2) [px].
+        """
         return [rows.rows @ step + np.einsum("nai,ni->na", rows.slopes, self.solved.ties[rows.tie])
                 for rows, step in zip(self.solved.tie_rows[:-1], self.solved.steps[:-1],
                                       strict=True)]
 
     def residuals(self) -> tuple[list[FloatArray], list[FloatArray]]:
-        """Return the residuals of ties and of control in each image [px]."""
+        """Return the residuals of each image's ties (n, 2) and of its rows of control (k,) [px]."""
         state = self.state
         of_ties = []
         for i, measured in enumerate(self.measured):
@@ -281,7 +294,10 @@ class Steps:
 
 
 def soft(ratio: FloatArray) -> FloatArray:
-    """Return weights that fall with the ratio of residual and standard deviation."""
+    """Return weights 1 / (1 + (r / c)^2)^2 of residuals in standard deviations.
+
+    1 at 0, falling to 0.
+    """
     return np.asarray(1 / (1 + (ratio / _ROBUST) ** 2) ** 2)
 
 

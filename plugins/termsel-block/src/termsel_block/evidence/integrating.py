@@ -160,7 +160,10 @@ def integrate(normal: FloatArray, step: FloatArray, cameras: Sequence[Camera],
 
 def _unknown_variances(cameras: Sequence[Camera], slices: Sequence[slice],
                        ) -> tuple[IntArray, FloatArray, list[_Group]]:
-    """Return the parameters whose variances are unknown, their first guesses, and the groups."""
+    """Return which parameters (k,) have unknown variances, first guesses (k,), and the groups.
+
+    Numbers of parameters are those of `slices`; the first guesses are standard deviations.
+    """
     at: list[int] = []
     scale: list[float] = []
     members: dict[str, list[IntArray]] = {}
@@ -269,6 +272,7 @@ def _draw_scales(x: FloatArray, equations: tuple[FloatArray, FloatArray], group:
 
 
 def _draw_from_grid(grid: FloatArray, logarithm: FloatArray, rng: np.random.Generator) -> float:
-    """Return a draw from a grid by the logarithm of the density."""
+    """Return a value of a grid (g,), drawn by the logarithm of its density there, up to a constant.
+    """
     sums = np.cumsum(np.exp(logarithm - logarithm.max()))
     return float(grid[np.searchsorted(sums, rng.random() * sums[-1])])

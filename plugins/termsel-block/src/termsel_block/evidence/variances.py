@@ -88,7 +88,11 @@ def looser(cameras: Sequence[Camera], parameters: Sequence[FloatArray],
 
 def posterior_mean(mean: FloatArray, variance: FloatArray, prior: FloatArray,
                     guess: FloatArray) -> float:
-    """Return the mean of the variance of values, each with its posterior and its present prior."""
+    """Return the mean of the posterior of the variance that values have in common.
+
+    Each value has its posterior (mean, variance) and the variance of its present prior, shape (k,);
+    `guess` is the scale of the variance's own prior, a half t of standard deviations.
+    """
     sigma = float(np.exp(np.log(guess).mean())) * _RATIO_GRID[:, None]
     # What the measurements alone say of each value: its posterior without its prior.
     precision = np.maximum(1 / variance - 1 / prior, 0.0)

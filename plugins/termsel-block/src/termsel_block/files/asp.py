@@ -83,7 +83,10 @@ def asp_rows(files: Sequence[Path], images: Sequence[str]) -> list[tuple[Path, i
 
 
 def _images(file: Path, images: Sequence[str]) -> tuple[str, str]:
-    """Return the two images that the name of a match file states, as ASP names it."""
+    """Return the names of both images of a match file, which ASP calls prefix-A__B.match.
+
+    Raises TermselError if no two images of the block are meant.
+    """
     # ASP writes prefix-A__B.match: the first name may have a prefix, the second has none.
     first, _, second = file.name.removesuffix(".txt").removesuffix(".match").rpartition("__")
     matching = [name for name in images if first == name or first.endswith(f"-{name}")]

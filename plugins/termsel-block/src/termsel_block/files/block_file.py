@@ -123,7 +123,7 @@ def read_block(path: Path | str) -> Block:
 
 
 def _refuse_alone(images: Sequence[BlockImage], ties: Ties, path: Path) -> None:
-    """Refuse images with too little to be adjusted, and to have a result of their own."""
+    """Raise TermselError for the first image with fewer ties and control than `_MIN_FEATURES`."""
     count = np.bincount(ties.image, minlength=len(images))
     for image, n in zip(images, count.tolist(), strict=True):
         n_control = 0 if image.features is None else (
@@ -135,7 +135,8 @@ def _refuse_alone(images: Sequence[BlockImage], ties: Ties, path: Path) -> None:
 
 
 def _refuse_copies(names: Sequence[str], ties: Ties, path: Path) -> None:
-    """Refuse an image whose ties are all at one place, and an image that is another once more."""
+    """Raise TermselError if an image has all ties at one place, or two images have them all alike.
+    """
     measurements = [np.flatnonzero(ties.image == i) for i in range(len(names))]
     for name, at in zip(names, measurements, strict=True):
         # Copied rows: no two ties of an image are at one place by chance.
@@ -170,7 +171,7 @@ def _image_in_words(location: str) -> str:
 
 
 def _refuse_unknown_key(message: str, text: str, path: Path) -> None:
-    """Refuse a key that no block has, with the nearest, if that is what a decoder says."""
+    """Raise TermselError with the nearest known key if a decoder's message is of an unknown one."""
     unknown = re.match(r"Object contains unknown field `(.+?)`(.*)", message)
     if unknown is None:
         return
@@ -184,14 +185,15 @@ def _refuse_unknown_key(message: str, text: str, path: Path) -> None:
 
 
 def _line_of(key: str, text: str) -> int | None:
-    """Return the line of a key, of which a decoder says the name alone."""
+    """Return the number of the first line that states a key, from 1; None if none does."""
     states = re.compile(rf"\s*(\[\[?\s*)?[\"']?{re.escape(key)}[\"']?\s*[=\].]")
     return next((number for number, line in enumerate(text.splitlines(), 1)
                  if states.match(line)), None)
 
 
 def _check_names(names: Sequence[str], path: Path) -> None:
-    """Refuse names that cannot be those of folders, or that two images share."""
+    """Raise TermselError for names that cannot be folders' or are not unique, and for a lone image.
+    """
     for name, count in Counter(names).items():
         if count > 1:
             raise TermselError(f"{count} images are called {name!r}", file=path,
@@ -216,7 +218,10 @@ def _check_names(names: Sequence[str], path: Path) -> None:
 
 
 def _read_image(stated: _Image, folder: Path, crs: str, dem: Path | None, path: Path) -> BlockImage:
-    """Return an image with its files read."""
+    """Return an image of the block with size, RPC and control read from its files.
+
+    An RPC that the raster has is used if none is named. Raises TermselError for what does not fit.
+    """
     for key in ("points", "lines", "rpc", "image"):
         file = getattr(stated, key)
         if file and not (folder / file).exists():
@@ -265,7 +270,7 @@ def _read_image(stated: _Image, folder: Path, crs: str, dem: Path | None, path: 
 
 
 def _check_model(stated: _Image, options: Mapping[str, Any], has_rpc: bool, path: Path) -> None:
-    """Refuse a model that an image cannot have, or options of none."""
+    """Raise TermselError for a model that an image cannot have, or options it does not take."""
     if stated.model in CORRECTIONS:
         if not has_rpc and stated.model != "auto":
             raise TermselError(f"image {stated.name!r} has the model {stated.model!r}", file=path,
@@ -293,7 +298,7 @@ def _check_model(stated: _Image, options: Mapping[str, Any], has_rpc: bool, path
 
 
 def _without_height(stated: _Image, folder: Path, crs: str) -> frozenset[str]:
-    """Return the points and lines of an image whose files state no height."""
+    """Return the ids of an image's points and lines whose files state no height."""
     # Read without the DEM, which would fill the heights in.
     features = _read_control(stated, folder, crs, None)
     points = features.points
@@ -341,7 +346,10 @@ def _part_of(stated: _Image, folder: Path) -> dict[str, Any]:
 
 def _control_features(stated: _Image, folder: Path, crs: str, dem: Path | None,
                       path: Path) -> FeatureSet:
-    """Return the control of an image, in the CRS of the block and with heights."""
+    """Return the control of an image, in the CRS of the block and with heights.
+
+    Raises TermselError if it is in another CRS, or a height is known neither by it nor by the DEM.
+    """
     points = folder / stated.points if stated.points else None
     features = _read_control(stated, folder, crs, dem)
     # Control of another CRS would be transformed by none of what follows.
@@ -429,7 +437,8 @@ def read_ties(files: Sequence[Path], images: Sequence[str]) -> tuple[Ties, tuple
 def _refuse_far(first_at: Mapping[tuple[str, int], tuple[Path, int]],
                 positions: Sequence[tuple[float, float]], images: Sequence[str],
                 matches: Sequence[Path]) -> None:
-    """Refuse a tie that is so far from the others of its image that no image reaches so far."""
+    """Raise TermselError for a tie that is farther from its image's others than any image reaches.
+    """
     measured = np.array(positions).reshape(-1, 2)
     image_of = np.array([image for _, image in first_at], int)
     for image, name in enumerate(images):
@@ -456,7 +465,10 @@ def _refuse_far(first_at: Mapping[tuple[str, int], tuple[Path, int]],
 
 
 def _table_rows(file: Path) -> list[tuple[int, dict[str, str]]]:
-    """Return the rows of a table of ties, each with the number of its line."""
+    """Return number of line and cells (id, image, line, sample) of each row of a table of ties.
+
+    Raises TermselError if the table cannot be read, or lacks one of these columns.
+    """
     try:
         require_regular(file)
         with file.open(newline="", encoding="utf-8-sig") as opened:
@@ -496,7 +508,7 @@ def _table_rows(file: Path) -> list[tuple[int, dict[str, str]]]:
 
 
 def _number_of_cell(text: str, file: Path, line: int, column: str) -> float:
-    """Return a number of a table."""
+    """Return the finite number in a cell; raises TermselError with its place if it is none."""
     with suppress(ValueError):
         value = float(text)
         if math.isfinite(value):

@@ -148,7 +148,7 @@ def image_result(result: BlockResult, i: int, record: BlockRecord) -> Result:
     """
     image = result.block.images[i]
     state = result.adjusted.state
-    features = _features(result, i, image)
+    features = _control_and_ties(result, i, image)
     name = correction_of(result, i)
     source = f"image {image.name} of a block"
     if name == "polynomial":
@@ -187,8 +187,11 @@ def image_result(result: BlockResult, i: int, record: BlockRecord) -> Result:
                                        pixel=pixel_on_ground(fitted.fit)))
 
 
-def _features(result: BlockResult, i: int, image: BlockImage) -> FeatureSet:
-    """Return an image's own features without blunders, and its ties as control."""
+def _control_and_ties(result: BlockResult, i: int, image: BlockImage) -> FeatureSet:
+    """Return control points and lines without blunders, and ties in use as control points.
+
+    Ties are at their adjusted places, at most as many as the model of the image takes in good time.
+    """
     state = result.adjusted.state
     ties = result.block.ties
     in_image = np.flatnonzero(ties.image == i)[state.in_use[i]]

@@ -59,7 +59,11 @@ def write_places(folder: Path | str, target: Path | str, *, overwrite: bool = Fa
 
 
 def _read_ties(folder: Path) -> tuple[list[str], FloatArray, str]:
-    """Return names, the other columns (n, 7) of ties.csv, and the CRS of a block."""
+    """Return names, the other columns (n, 7) of ties.csv, and the CRS of a block.
+
+    The columns are x, y, z, their standard deviations east, north, up [m], and the number of
+    images. Raises TermselError if the folder has no block, or files that are damaged.
+    """
     for name in (RECORD, TIES):
         if not inside(folder, name).is_file():
             raise TermselError(f"there is no block in this folder: it has no {name}", file=folder,
@@ -82,7 +86,7 @@ def _read_ties(folder: Path) -> tuple[list[str], FloatArray, str]:
 
 def _write_geopackage(complete: Path, target: Path, ids: list[str], values: FloatArray,
                       crs: str) -> None:
-    """Write a layer of points."""
+    """Write the ties as a layer of points to the file `complete`, which then becomes `target`."""
     shapely = _import_needed("shapely", target, "termsel[gis]")
     write = _import_needed("pyogrio.raw", target, "termsel[gis]").write
     names = ["id", "sigma_east", "sigma_north", "sigma_up", "images"]
@@ -96,7 +100,7 @@ def _write_geopackage(complete: Path, target: Path, ids: list[str], values: Floa
 
 
 def _write_cloud(complete: Path, target: Path, _: list[str], values: FloatArray, crs: str) -> None:
-    """Write a point cloud, which has no names."""
+    """Write the ties as a LAS file `complete`, which then becomes `target`; it has no ids."""
     laspy = _import_needed("laspy", target, "termsel-block[las]")
     header = laspy.LasHeader(point_format=6, version="1.4")
     system_name = horizontal(crs)
@@ -126,7 +130,10 @@ def _write_cloud(complete: Path, target: Path, _: list[str], values: FloatArray,
 
 
 def _import_needed(module: str, target: Path, package: str) -> Any:
-    """Import what a format requires."""
+    """Import the module that a format requires.
+
+    Raises TermselError with the package if it is missing.
+    """
     try:
         return importlib.import_module(module)
     except ImportError as error:

@@ -56,7 +56,10 @@ def together(folder: Path, last: str) -> Iterator[Path]:
 
 
 def _move_into_place(files: list[Path], new: Path, old: Path, folder: Path) -> None:
-    """Move files to where they belong, and back if one cannot be moved."""
+    """Move files from `new` to where they belong in `folder`; what was there goes to `old`.
+
+    If one cannot be moved, or on an interruption, all move back and the error goes on.
+    """
     moves: list[tuple[Path, Path]] = []
     new_folders: list[Path] = []
     try:

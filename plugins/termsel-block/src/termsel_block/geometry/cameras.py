@@ -105,7 +105,11 @@ class Camera(ABC):
         """Return the derivatives (n, 2, p) of line and sample by the parameters."""
 
     def slopes(self, parameters: FloatArray, local: FloatArray, image: FloatArray) -> FloatArray:
-        """Return the derivatives (n, 2, 3) [px/m] of line and sample by the place."""
+        """Return the derivatives (n, 2, 3) [px/m] of line and sample by the place.
+
+        `image` is where the camera sees the places `local` (n, 3), so that it is not computed
+        again.
+        """
         slopes = np.empty((len(local), 2, 3))
         for axis in range(3):
             shifted = local.copy()
@@ -151,7 +155,10 @@ class LinearCamera(Camera):
         """Return the known part (n, 2) [px] and the columns (n, m) at places of the frame."""
 
     def perspective(self, parameters: FloatArray, local: FloatArray) -> FloatArray | float:
-        """Return what parameters (2m,) do next to their columns, (n, 2) [px]."""
+        """Return what the parameters (2m,) add besides their columns, (n, 2) [px].
+
+        0 unless overridden.
+        """
         return 0.0
 
     def fixed(self, local: FloatArray) -> Fixed:
@@ -217,7 +224,10 @@ class RpcCamera(LinearCamera):
         self.min_sigma = (1e-4,) * len(self.groups)
 
     def only(self, keep: BoolArray) -> RpcCamera:
-        """Return the camera with some of its columns."""
+        """Return the camera with the columns that `keep` (2m,) has.
+
+        It is alike for line and sample.
+        """
         return RpcCamera(self.rpc, self.frame, [name for name, is_kept in zip(
             self.columns, keep[:len(self.columns)], strict=True) if is_kept])
 
@@ -239,7 +249,7 @@ class RpcCamera(LinearCamera):
         return corners.mean(axis=0), np.abs(np.diff(corners[:, :2], axis=0)[0]) / 2
 
     def first_order(self, local: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the RPC's line and sample, and the columns."""
+        """Return the RPC's line and sample (n, 2) [px], and the columns (n, m), without unit."""
         image = self.rpc.project(self.frame.geodetic(local))
         half_images = (image - self.rpc.image_offset) / np.abs(self.rpc.image_scale)
         polynomial = {"shift": np.ones(len(image)), "drift": half_images[:, 0],
@@ -312,7 +322,10 @@ class PolynomialCamera(LinearCamera):
                                for name in self.groups)
 
     def only(self, keep: BoolArray) -> PolynomialCamera:
-        """Return the camera with some of its columns."""
+        """Return the camera with the columns that `keep` (2m,) has.
+
+        It is alike for line and sample.
+        """
         powers = [power for power, is_kept in zip(
             self.powers, keep[:len(self.powers)], strict=True) if is_kept]
         return PolynomialCamera(self.centre, self.half, self.half_image, self.middle, powers)
@@ -344,7 +357,7 @@ class PolynomialCamera(LinearCamera):
 
     @property
     def _slopes(self) -> list[int]:
-        """The columns x, y and z."""
+        """Numbers of the columns x, y and z among the monomials."""
         return [self.powers.index(axis) for axis in _AXES]
 
     def _quadratic_forms(self, slopes: FloatArray) -> FloatArray:
@@ -374,14 +387,17 @@ class PolynomialCamera(LinearCamera):
         return self.centre, np.full(2, self.half)
 
     def first_order(self, local: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the image's middle and the monomials."""
+        """Return the image's middle for each place (n, 2) [px], and the monomials (n, m)."""
         x, y, z = ((local - self.centre) / self.half).T
         columns = np.stack([x**a * y**b * z**c for a, b, c in self.powers], axis=1)
         return np.tile(self.middle, (len(local), 1)), columns
 
 
 def _group(power: tuple[int, ...]) -> str:
-    """Return the group of a monomial by its exponents of x, y and z."""
+    """Return the group of a monomial by its exponents of x, y and z.
+
+    Up to degree 1 affine; beyond it relief if z has a part in it, else quadratic or cubic.
+    """
     degree = sum(power)
     if degree < 2:
         return _AFFINE

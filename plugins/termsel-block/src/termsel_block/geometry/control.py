@@ -48,7 +48,10 @@ class OwnControl:
 
 
 def own_control(features: FeatureSet | None, frame: Frame) -> OwnControl:
-    """Return the rows of points with the role control, check or none, and of all lines."""
+    """Return the equations of points with the role control, check or none, and of all lines.
+
+    Two rows of a point (line, sample), two of a line (its vertices); no rows without features.
+    """
     if features is None:
         return OwnControl(np.empty((0, 3)), np.empty((0, 2)), np.empty(0), np.empty(0), ())
     points = in_use(features)

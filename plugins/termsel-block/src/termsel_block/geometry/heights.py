@@ -44,7 +44,10 @@ class ControlHeights:
     of_rows: tuple[IntArray, ...] = ()
 
     def agreed(self, rows: Sequence[BoolArray]) -> BoolArray:
-        """Return the heights most of whose rows, which each image states, are in use."""
+        """Return which heights (h,) are in use in most of the rows that images have of them.
+
+        `rows` says of each image which of its rows of control are in use.
+        """
         votes = np.zeros(len(self.over))
         for index, used in zip(self.of_rows, rows, strict=True):
             np.add.at(votes, index[index >= 0], np.where(used, 1, -1)[index >= 0])
@@ -113,13 +116,14 @@ class Heights:
     def __post_init__(self) -> None:
         if np.isnan(self.sigma):
             self.sigma = self.spread if self.surface is None else _OF_ERRORS
-        self.control = self._alike(self.control_heights.over)
+        self.control = self._near_median(self.control_heights.over)
 
     def keep(self, rows: Sequence[BoolArray]) -> None:
-        """Take the heights of control whose rows, which each image states, are in use."""
-        self.control = self._alike(self.control_heights.over[self.control_heights.agreed(rows)])
+        """Take the heights of control most of whose rows are in use; `rows` is as for `agreed`."""
+        is_agreed = self.control_heights.agreed(rows)
+        self.control = self._near_median(self.control_heights.over[is_agreed])
 
-    def _alike(self, over: FloatArray) -> FloatArray:
+    def _near_median(self, over: FloatArray) -> FloatArray:
         """Return the heights that are not far from the median of all.
 
         An image without control follows the offset, so that a wrong height would shift it before
@@ -130,25 +134,25 @@ class Heights:
         # The prior counts as `_AS_MANY` heights of the usual roughness: a few that agree are no
         # proof.
         scale = _MAD * np.median(np.abs(with_prior - middle))
-        variance = (len(with_prior) * scale**2 + _AS_MANY * self._usual**2) / (
+        variance = (len(with_prior) * scale**2 + _AS_MANY * self._usual_roughness**2) / (
             len(with_prior) + _AS_MANY)
         return np.asarray(over[np.abs(over - middle) <= _OUTLYING * np.sqrt(variance)])
 
     @property
-    def _usual(self) -> float:
+    def _usual_roughness(self) -> float:
         """Usual roughness of what is over the surface [m]."""
         return _OF_GROUND if self.surface is None else _OF_ERRORS
 
     @property
-    def _many(self) -> float:
+    def _max_count(self) -> float:
         """Heights of one image or of control that count by themselves."""
         return _LIKE_GROUND if self.surface is None else _LIKE_ERRORS
 
     def observed(self, ties: FloatArray) -> Observed:
-        """Return the heights of ties (t, 3) as observations."""
-        away, joint = self._away(ties)
-        # Heights of a crowded image weigh less, so that all together count as `_many` at most.
-        weight = np.full(len(ties), self.sigma**-2 / max(self.crowd / self._many, 1.0))
+        """Return each tie's height as an observation of how far the surface is above it."""
+        away, joint = self._below_surface(ties)
+        # Heights of a crowded image weigh less, so that all together count as `_max_count` at most.
+        weight = np.full(len(ties), self.sigma**-2 / max(self.crowd / self._max_count, 1.0))
         weight[~joint] = self.spread**-2
         row = np.zeros((len(ties), 3))
         # Up is up, within the milliradians that a block is wide.
@@ -184,17 +188,22 @@ class Heights:
         return (self.spread / 2 if self.surface is None else max(OFF, self.far, self.doubt)) ** -2
 
     def guessed(self) -> float | None:
-        """Return that weight if it is a guess: few DEMs are far off, and those are far off."""
+        """Return the weight of no offset if it is a guess, as of a DEM.
+
+        None if there is no surface.
+
+        Few DEMs are far off, and those are far off.
+        """
         return None if self.surface is None else self._weight_of_prior()
 
     def _weight_of_control(self) -> float:
-        """Return the weight of a height of control."""
-        return self.sigma**-2 / max(len(self.control) / self._many, 1.0)
+        """Return the weight [1/m2] of one height of control; all weigh as `_max_count` at most."""
+        return self.sigma**-2 / max(len(self.control) / self._max_count, 1.0)
 
     def cost(self, ties: FloatArray) -> float:
-        """Return the sum of squares of what is off, over the variances."""
-        away, joint = self._away(ties)
-        weight = self.sigma**-2 / max(self.crowd / self._many, 1.0)
+        """Return the sum of squares over variances of all heights: ties, offset and control."""
+        away, joint = self._below_surface(ties)
+        weight = self.sigma**-2 / max(self.crowd / self._max_count, 1.0)
         return float(weight * (away[joint] ** 2).sum() + (away[~joint] ** 2).sum() / self.spread**2
                      + self._weight_of_prior() * self.offset**2
                      + self._weight_of_control() * ((self.control - self.offset) ** 2).sum())
@@ -223,11 +232,15 @@ class Heights:
         # Far heights count as those at the limit, so that a tower or a hole does not make hills.
         largest_square = (_OUTLYING * _MAD) ** 2 * float(np.median(square))
         self.sigma = max(float(np.sqrt(
-            (np.minimum(square, largest_square).sum() + _AS_MANY * self._usual**2)
+            (np.minimum(square, largest_square).sum() + _AS_MANY * self._usual_roughness**2)
             / (len(square) + _AS_MANY))), _MIN_ROUGHNESS)
 
-    def _away(self, ties: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Return what ties lack in height, and where the offset is part of it."""
+    def _below_surface(self, ties: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """Return by how much ties (t, 3) are below the surface, (t,) [m], and which it covers,
+        (t,).
+
+        The offset is part of it where the surface covers the tie, or there is none.
+        """
         ground = self.frame.ground(ties)
         over = self.mean - ground[:, 2]
         if self.surface is None:

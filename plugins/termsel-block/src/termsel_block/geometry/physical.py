@@ -206,7 +206,10 @@ class PhysicalCamera(Camera):
         return Contradiction(float(chdtrc(freedom, square)), square / freedom, tuple(named))
 
     def _images(self, terms: FloatArray, local: FloatArray) -> FloatArray:
-        """Return line and sample (q, n, 2) [px] of places (n, 3) by each of q sets of terms."""
+        """Return line and sample (q, n, 2) [px] of places (n, 3) by each of q sets of terms (q, k).
+
+        NaN by terms that are no camera.
+        """
         # A step to no camera at all gives nan here, and is then made shorter.
         with np.errstate(all="ignore"):
             scaled = self.model.project(terms, self.scaling.ground(self.frame.ground(local)))
@@ -232,7 +235,10 @@ class PhysicalModel:
 
     def fitted(self, frame: Frame, local: FloatArray, image: FloatArray,
                of: str) -> PhysicalCamera:
-        """Return the camera fitted to places (n, 3) that are seen at (n, 2) in an image."""
+        """Return the camera fitted to places (n, 3) seen at (n, 2) in an image called `of`.
+
+        Raises TermselError if it cannot be fitted, or misses half of the points absurdly.
+        """
         points = Points(tuple(map(str, range(len(local)))), image, frame.ground(local))
         try:
             camera = PhysicalCamera(get("models", self.name)(**self.options),

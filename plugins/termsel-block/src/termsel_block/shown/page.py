@@ -51,13 +51,13 @@ def page_of(result: BlockResult, record: BlockRecord) -> str:
     ground = Figure(
         "map", "Footprints, ties and control",
         "Each dot is a tie; its colour is the standard deviation of its height"
-        f"{_how_many_shown(result)}. Triangles are control. Outlines are drawn around the ties of "
+        f"{_ties_shown(result)}. Triangles are control. Outlines are drawn around the ties of "
         "each image.", _map(result), keeps_ratio=True)
     by_image = Figure(
         "images", "Residuals and uncertainty by image",
         "The RMSE of the ties in each image, and the predicted RMSE of the table of images. The "
         "image that is least certain over the area of its ties comes first"
-        f"{_first(record)}.", _bars(record))
+        f"{_images_shown(record)}.", _bars(record))
     by_tie = Figure(
         "ties", "Residuals by tie",
         "Number of observations by their distance from the model. Those more than four standard "
@@ -84,13 +84,13 @@ def _images(record: BlockRecord) -> TableBlock:
             for image in record.images])
 
 
-def _first(record: BlockRecord) -> str:
+def _images_shown(record: BlockRecord) -> str:
     """Return how many images of all are shown, as part of a sentence; empty if all are."""
     has_more = len(record.images) > _IMAGES
     return f"; {_IMAGES} of {len(record.images)} are shown" if has_more else ""
 
 
-def _how_many_shown(result: BlockResult) -> str:
+def _ties_shown(result: BlockResult) -> str:
     """Return how many ties of all are shown, as part of a sentence; empty if all are."""
     count = len(_placed_ties(result))
     return f"; {_DRAWN_TIES:,} of {count:,} are shown" if count > _DRAWN_TIES else ""
@@ -102,7 +102,10 @@ def _placed_ties(result: BlockResult) -> IntArray:
 
 
 def _rejected_table(record: BlockRecord) -> Iterator[TableBlock | str]:
-    """Yield a table of rejected observations: control, then ties, of each the worst first."""
+    """Yield a table of rejected observations, control then ties, the worst of each first.
+
+    After it a line on how many it leaves out, if any; nothing if no observation was rejected.
+    """
     rejected: list[tuple[str, WrongTie | WrongControl]] = [
         ("control", wrong) for wrong in record.wrong_control]
     rejected += [("tie", wrong) for wrong in record.wrong_ties]
@@ -117,7 +120,7 @@ def _rejected_table(record: BlockRecord) -> Iterator[TableBlock | str]:
 
 
 def _map(result: BlockResult) -> Any:
-    """Return the ground with ties, control and the hulls of images, at one scale."""
+    """Return a chart of the ground: ties, control and the hulls of images, with one scale [km]."""
     import altair as alt
     from scipy.spatial import ConvexHull, QhullError
 
@@ -182,7 +185,7 @@ def _one_scale(ground: FloatArray) -> list[tuple[list[float], float]]:
 
 
 def _bars(record: BlockRecord) -> Any:
-    """Return RMSE of ties and predicted RMSE of images, the least certain first."""
+    """Return a chart of the RMSE of ties and the predicted one, the least certain images first."""
     import altair as alt
 
     images = sorted(record.images, key=lambda image: -image.uncertainty)[:_IMAGES]
@@ -199,7 +202,8 @@ def _bars(record: BlockRecord) -> Any:
 
 
 def _residuals(result: BlockResult) -> Any:
-    """Return how many measurements are how far from the model."""
+    """Return a histogram of the distances [px] of ties from the model; the last bar is all beyond.
+    """
     import altair as alt
 
     far = np.concatenate([np.hypot(*residuals.T) for residuals in result.adjusted.residuals])

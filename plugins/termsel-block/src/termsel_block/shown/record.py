@@ -137,14 +137,14 @@ def record_of(result: BlockResult) -> BlockRecord:
         measurements=len(block.ties.tie), sigma_ties=adjusted.state.sigma_ties,
         sigma_control=adjusted.state.sigma_control, redundancy=adjusted.freedom,
         steps=adjusted.steps, converged=adjusted.converged, datum=_datum(images), parts=parts,
-        sigma_places=(east, north, up), wrong_ties=_wrong_ties(result),
-        wrong_control=_wrong_control(result), notes=[*block.notes, *doubts(result)],
+        sigma_places=(east, north, up), wrong_ties=_rejected_ties(result),
+        wrong_control=_rejected_control(result), notes=[*block.notes, *doubts(result)],
         independent=None if space is None else SpaceRecord(
             space.east, space.north, space.up, space.n))
 
 
 def doubts(result: BlockResult) -> list[str]:
-    """Return what is unlikely of good data, as sentences."""
+    """Return what is unlikely of good data, as sentences with advice; [] if nothing is."""
     adjusted = result.adjusted
     notes = []
     if adjusted.state.sigma_ties > _COARSE:
@@ -219,7 +219,10 @@ def _image(result: BlockResult, i: int) -> ImageRecord:
 
 
 def correction_of(result: BlockResult, i: int) -> str:
-    """Return what the model of an image is, in one word."""
+    """Return the model of an image in one word.
+
+    A correction of an RPC, "none", or the model's name.
+    """
     camera = result.camera(i)
     if not isinstance(camera, RpcCamera):
         name = result.block.images[i].model
@@ -228,7 +231,7 @@ def correction_of(result: BlockResult, i: int) -> str:
 
 
 def _datum(images: Sequence[ImageRecord]) -> str:
-    """Return what defines the position of the block on the ground."""
+    """Return in words what defines the position of the block on the ground: RPCs or control."""
     features = sum(image.control for image in images)
     if not features:
         return ("the vendor's RPCs, as there is no control: the absolute accuracy is theirs, and "
@@ -237,8 +240,9 @@ def _datum(images: Sequence[ImageRecord]) -> str:
     return f"{features} GCP observations in {holding} of {len(images)} images"
 
 
-def _wrong_ties(result: BlockResult) -> list[WrongTie]:
-    """Return the measurements of ties that were left out, the worst first."""
+def _rejected_ties(result: BlockResult) -> list[WrongTie]:
+    """Return the measurements of ties that are out of use with their errors [px], the worst first.
+    """
     wrong_ties = []
     ties = result.block.ties
     for i, (residual, used) in enumerate(zip(
@@ -249,8 +253,8 @@ def _wrong_ties(result: BlockResult) -> list[WrongTie]:
     return sorted(wrong_ties, key=lambda wrong: -wrong.error)
 
 
-def _wrong_control(result: BlockResult) -> list[WrongControl]:
-    """Return the control that was left out, the worst first."""
+def _rejected_control(result: BlockResult) -> list[WrongControl]:
+    """Return the control that is out of use with its errors [px], the worst first."""
     wrong_control = []
     for i, (control, residual, used) in enumerate(zip(
             result.control, result.adjusted.of_control, result.adjusted.state.control_in_use,
@@ -275,7 +279,11 @@ def times_seen(result: BlockResult) -> IntArray:
 
 
 def joined(tie: Any, image: Any, count: int) -> list[list[int]]:
-    """Return which images ties join, directly or by others, by index."""
+    """Return the groups of images that ties join, directly or by others, as lists of numbers.
+
+    `tie` and `image` (n,) are those of each measurement, `count` is the number of images. An image
+    without ties is a group by itself.
+    """
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 

@@ -25,7 +25,7 @@ _LABEL, _WIDTH = 10, 88
 def text_of(record: BlockRecord) -> str:
     """Return the whole summary, as summary.txt has it."""
     return "\n".join([read_in(record), "", *_table(record, len(record.images)), "",
-                      *_lines(facts(record)), *_wrong(record)]) + "\n"
+                      *_lines(facts(record)), *_rejected_ties(record)]) + "\n"
 
 
 def first_screen(record: BlockRecord, folder: str) -> str:
@@ -46,6 +46,7 @@ def first_screen(record: BlockRecord, folder: str) -> str:
 
 
 def _lines(shown: Iterable[Fact]) -> list[str]:
+    """Return facts as lines of text, wrapped, with their labels in a column on the left."""
     lines = []
     for fact in shown:
         lines += textwrap.wrap(fact.text, _WIDTH, initial_indent=fact.label.ljust(_LABEL),
@@ -54,7 +55,7 @@ def _lines(shown: Iterable[Fact]) -> list[str]:
 
 
 def read_in(record: BlockRecord) -> str:
-    """Return what was read."""
+    """Return a line on what was read: images, control, ties and the CRS."""
     points = sum(image.control for image in record.images)
     with_control = sum(image.control > 0 for image in record.images)
     where = f" in {with_control} of them" if points else ""
@@ -79,6 +80,7 @@ def _least_certain(record: BlockRecord) -> list[ImageRecord]:
 
 
 def _labelled(label: str, lines: Iterable[str]) -> Iterator[Fact]:
+    """Yield lines as facts, the first with the label, the others below it without one."""
     for i, line in enumerate(lines):
         yield Fact(line, label if i == 0 else " ")
 
@@ -102,7 +104,7 @@ def _accuracy(record: BlockRecord) -> Iterator[str]:
 
 
 def _cautions(record: BlockRecord) -> Iterator[str]:
-    """Yield what a user must know before using the figures."""
+    """Yield what a user must know before relying on the figures; nothing if all is well."""
     if not record.converged:
         yield "The adjustment did not converge: do not rely on the figures."
     yield from record.notes
@@ -132,7 +134,10 @@ def _blunders(record: BlockRecord) -> str:
 
 
 def _table(record: BlockRecord, most: int) -> list[str]:
-    """Return a row for each image; if there are more than `most`, for the least certain."""
+    """Return a header and a row for each image.
+
+    If there are more than `most`, for the least certain.
+    """
     rows = [("image", "model", "GCPs", "ties", "ties px", "predicted px", "90 %",
              "ICPs px")]
     listed = _least_certain(record)[:most] if most < len(record.images) else record.images
@@ -155,8 +160,8 @@ def _table(record: BlockRecord, most: int) -> list[str]:
     return lines
 
 
-def _wrong(record: BlockRecord) -> list[str]:
-    """Return all tie observations that were rejected."""
+def _rejected_ties(record: BlockRecord) -> list[str]:
+    """Return a line for each tie observation that was rejected, after a heading; [] if none was."""
     if not record.wrong_ties:
         return []
     lines = ["", "Tie observations rejected:"]
@@ -168,7 +173,7 @@ def _wrong(record: BlockRecord) -> list[str]:
 
 
 def reason_of(wrong: WrongTie | WrongControl, record: BlockRecord) -> str:
-    """Return why what is near the model was left out; empty where it is far off."""
+    """Return why an observation near the model was rejected; "" for one that is far from it."""
     if isinstance(wrong, WrongTie) and wrong.error <= WRONG * record.sigma_ties:
         return "now in one image only"
     return ""

@@ -48,8 +48,9 @@ def _film(focal: float, spread: float, size: float, source: str) -> SurveyCamera
     return SurveyCamera(focal, spread, size, size, (0, 0), source)
 
 
-def _digital(focal: float, pixel: float, width: int, height: int) -> SurveyCamera:
-    """Return a large-format camera with a pixel of so many micrometres."""
+def _digital_camera(focal: float, pixel: float, width: int, height: int) -> SurveyCamera:
+    """Return a large-format camera: focal length [mm], size of a pixel [um], and pixels either way.
+    """
     return SurveyCamera(focal, 0.003, width * pixel / 1e3, height * pixel / 1e3, (width, height),
                         REPORTS)
 
@@ -62,12 +63,12 @@ CAMERAS: dict[str, SurveyCamera] = {
                           "National Report of Canada to the ISP, Commission I, 1960: 6 in"),
     "metrogon-6in": _film(152.4, 0.008, 228.6, "Report of the United States to the ISP, 1952: "
                           "Fairchild and other cameras with Metrogon lenses of 6 in, 9 by 9 in"),
-    "dmc": _digital(120.0, 12.0, 7680, 13824),
-    "dmc-ii-230": _digital(92.0, 5.6, 15552, 14144),
-    "dmc-iii": _digital(92.0, 3.9, 25728, 14592),
-    "ultracam-x": _digital(100.5, 7.2, 14430, 9420),
-    "ultracam-xp": _digital(100.5, 6.0, 17310, 11310),
-    "ultracam-eagle-80": _digital(79.8, 5.2, 20010, 13080),
+    "dmc": _digital_camera(120.0, 12.0, 7680, 13824),
+    "dmc-ii-230": _digital_camera(92.0, 5.6, 15552, 14144),
+    "dmc-iii": _digital_camera(92.0, 3.9, 25728, 14592),
+    "ultracam-x": _digital_camera(100.5, 7.2, 14430, 9420),
+    "ultracam-xp": _digital_camera(100.5, 6.0, 17310, 11310),
+    "ultracam-eagle-80": _digital_camera(79.8, 5.2, 20010, 13080),
     "leica-rcd39": SurveyCamera(60.0, 0.01, 49.07, 36.80, (7216, 5412), "NERC Airborne Research "
                                 "Facility, RCD CH39: 60 mm, 6.8 um; up to 2 % distortion"),
     "dji-fc300s": SurveyCamera(3.7, 0.01, 6.239, 4.679, (4000, 3000), "OpenSfM, "

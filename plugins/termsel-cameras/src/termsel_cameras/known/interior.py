@@ -130,7 +130,10 @@ def interior_of(features: FeatureSet) -> Interior | None:
 
 
 def _stated_value(features: FeatureSet, name: str) -> str:
-    """Return the one value that a column has, or ""."""
+    """Return the one value of a column of the points; "" if they have none.
+
+    Raises TermselError if they have several.
+    """
     values = {str(value).strip() for value in features.points.attributes.get(name, ())} - {""}
     if len(values) > 1:
         raise TermselError(f"the column {name!r} has {len(values)} values, and an image one camera",
@@ -140,7 +143,10 @@ def _stated_value(features: FeatureSet, name: str) -> str:
 
 def _focal_length(stated: Mapping[str, str], named: SurveyCamera | None,
                   size: tuple[int, int] | None) -> Interior:
-    """Return the focal length that is stated in px, or in mm with the size of a pixel."""
+    """Return an interior with the focal length that is stated in px, or in mm.
+
+    Millimetres need the size of a pixel: as stated, or by the camera's type and the image's size.
+    """
     text = stated["camera_focal"].lower().replace(" ", "")
     if not text.endswith("mm"):
         (focal,) = _numbers({"camera_focal": text.removesuffix("px")}, "camera_focal", (1,))
@@ -154,7 +160,8 @@ def _focal_length(stated: Mapping[str, str], named: SurveyCamera | None,
 
 def _camera_of_type(named: SurveyCamera, stated: Mapping[str, str],
                     size: tuple[int, int] | None) -> Interior:
-    """Return what is known of a camera of a type."""
+    """Return the interior of a camera of a known type, with a stated focal length if there is one.
+    """
     if "camera_focal" in stated:
         interior = _focal_length(stated, named, size)
     else:
@@ -180,7 +187,7 @@ def interior_of_file(path: str) -> Interior:
 
 
 def _camera_of_file(content: Mapping[str, Any], path: str) -> Interior:
-    """Return what a camera file says."""
+    """Return the interior that the content of a camera file states; `path` is for messages."""
     values = {name: _numbers_as_text(content.get(name)) for name in (
         "focal", "focal_spread", "principal_point", "distortion")}
     (focal,) = _numbers({f"focal of {path}": values["focal"]}, f"focal of {path}", (1,))
@@ -197,7 +204,7 @@ def _camera_of_file(content: Mapping[str, Any], path: str) -> Interior:
 
 
 def _numbers_as_text(value: Any) -> str:
-    """Return a number or a list of them as the text that options have."""
+    """Return a number or a list of them as the text that options have; "" for None."""
     if value is None:
         return ""
     return ",".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
@@ -228,7 +235,12 @@ def _pixel(stated: Mapping[str, str], named: SurveyCamera | None,
 
 def _with_middle(interior: Interior, stated: Mapping[str, str],
                  size: tuple[int, int] | None) -> Interior:
-    """Return an interior with the principal point, where the image or an option shows it."""
+    """Return an interior with the principal point [px].
+
+    Stated, or the middle of an image of known size.
+
+    Without either it stays as it is.
+    """
     # Half the diagonal of the image, of which the scale of the prior of the principal point is a
     # share.
     half = np.nan if size is None else float(np.hypot(*size)) / 2
@@ -279,7 +291,8 @@ def _focal_spread(text: str, name: str, focal: float) -> float:
 
 
 def _with_place(interior: Interior, stated: Mapping[str, str]) -> Interior:
-    """Return an interior with the rough place of the camera, where it is stated."""
+    """Return an interior with the camera's rough place or height above ground, if they are stated.
+    """
     if "camera_position" in stated:
         x, y, z, *spread = _numbers(stated, "camera_position", (3, 4))
         interior = replace(interior, position=(x, y, z))
@@ -292,7 +305,8 @@ def _with_place(interior: Interior, stated: Mapping[str, str]) -> Interior:
 
 
 def _numbers(stated: Mapping[str, str], name: str, counts: Any) -> tuple[float, ...]:
-    """Return the numbers of a text such as "1,2,3", of which there are as many as one count."""
+    """Return the numbers of a text such as "1,2,3"; raises TermselError for another count of them.
+    """
     try:
         numbers = tuple(float(number) for number in stated[name].replace(";", ",").split(","))
     except ValueError:
@@ -306,6 +320,7 @@ def _numbers(stated: Mapping[str, str], name: str, counts: Any) -> tuple[float, 
 
 
 def _positive(number: float, name: str) -> float:
+    """Return the number; raises TermselError if it is not positive."""
     if not number > 0.0:
         raise TermselError(f"{name} is {number:g}, which is not positive",
                            hint="Give a number above 0.")

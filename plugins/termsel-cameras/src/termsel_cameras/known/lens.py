@@ -46,11 +46,11 @@ class Lens:
         radial_factor = 1.0 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
         distorted_x = x * radial_factor + 2 * self.p1 * x * y + self.p2 * (r2 + 2 * x**2)
         distorted_y = y * radial_factor + self.p1 * (r2 + 2 * y**2) + 2 * self.p2 * x * y
-        return np.where(self._holds(r2)[..., None], np.stack([distorted_x, distorted_y], axis=-1),
+        return np.where(self._grows(r2)[..., None], np.stack([distorted_x, distorted_y], axis=-1),
                         np.nan)
 
-    def _holds(self, r2: FloatArray) -> BoolArray:
-        """Return whether the distorted radius grows with the ideal one up to these squares."""
+    def _grows(self, r2: FloatArray) -> BoolArray:
+        """Return whether the distorted radius grows with the ideal one up to these squares r2."""
         holds = np.ones(r2.shape, dtype=bool)
         with np.errstate(all="ignore"):
             for share in _SHARES:
@@ -60,7 +60,10 @@ class Lens:
         return holds
 
     def ideal(self, measured: FloatArray) -> FloatArray:
-        """Return the ideal places (..., 2) of what is seen; NaN where there is none."""
+        """Return the ideal places (..., 2), x and y, of places that are seen.
+
+        NaN where the lens has none.
+        """
         if self.is_ideal:
             return measured
         ideal = np.array(measured, dtype=np.float64)

@@ -50,11 +50,14 @@ class ByKnownCamera(Estimator):
         """Fit a camera (see `Estimator.fit`) with all its terms."""
         ready = model.prepared(scaling, control.crs)
         in_use = control.take(used)
-        return self._written(ready, ready.camera(scaling.features(in_use), control.noise),
-                             control, scaling, used)
+        return self._fit_of_camera(ready, ready.camera(scaling.features(in_use), control.noise),
+                                   control, scaling, used)
 
     def refit(self, fitted: Fit, control: FeatureSet) -> Fit:
-        """Return the camera of other control points that is next to that of a fit."""
+        """Return the camera of other control that is next to a fit's.
+
+        Raises Undetermined if none is.
+        """
         model = fitted.model
         assert isinstance(model, KnownFrame)
         measured = model.measured(fitted.scaling.features(control), control.noise)
@@ -62,12 +65,12 @@ class ByKnownCamera(Estimator):
         if near is None:
             raise Undetermined("no camera next to the one that was found has all points in front",
                                hint="Check the added points.")
-        return self._written(model, near, control, fitted.scaling,
-                             np.ones(len(control), dtype=bool))
+        return self._fit_of_camera(model, near, control, fitted.scaling,
+                                   np.ones(len(control), dtype=bool))
 
-    def _written(self, model: KnownFrame, camera: Pinhole, control: FeatureSet,
-                 scaling: Scaling, used: BoolArray) -> Fit:
-        """Return the fit that a camera is of the points in use."""
+    def _fit_of_camera(self, model: KnownFrame, camera: Pinhole, control: FeatureSet,
+                       scaling: Scaling, used: BoolArray) -> Fit:
+        """Return a camera as a fit, with the held-out errors of the points in use."""
         in_use = control.take(used)
         values = model.values_of(camera.camera)
         equations = 2 * len(in_use)
@@ -100,13 +103,13 @@ class ByKnownCamera(Estimator):
         return Spread((factors**2).sum(axis=2), np.full(2, noise), factors)
 
     def experience(self, fitted: Fit) -> Experience:
-        """Return how well points of photos are usually measured."""
+        """Return how well points of photos are usually measured, as a prior of their noise."""
         measured = _camera_of(fitted).measured
         return Experience(measured.experience, measured.unknowns, measured.tails)
 
 
 def _errors_of(model: KnownFrame, camera: Pinhole, image: FloatArray) -> FloatArray:
-    """Return measured minus predicted of each point by the others, as the lens has them."""
+    """Return measured minus predicted by the others of each point (n, 2), scaled, lens included."""
     ideal = camera.measured.image
     return np.asarray(image - model.with_lens(ideal - camera.errors))
 
@@ -153,7 +156,10 @@ class KnownCamera(Method):
         return None
 
     def fit(self, control: FitData) -> Fit:
-        """Fit the camera by all features."""
+        """Return the camera fitted to all features.
+
+        Raises Undetermined if the camera is not stated, or if the points are plainly not its own.
+        """
         interior = _interior(control)
         mirrored = is_mirrored(control)
         model = KnownFrame.of(interior, mirrored=mirrored)
@@ -183,7 +189,7 @@ class KnownCamera(Method):
         return 0.0
 
     def describe(self, fitted: Fit) -> str:
-        """Return what told the camera, and how it stood."""
+        """Return sentences on what told the camera, its tilt, its height and its focal length."""
         model = fitted.model
         assert isinstance(model, KnownFrame)
         interior = _interior(FitData.of(fitted.control))
@@ -212,6 +218,8 @@ def _focal_in_words(interior: Interior) -> str:
 
 
 def _interior(control: FitData) -> Interior:
+    """Return the interior that columns of the points state; raises Undetermined if they state none.
+    """
     interior = interior_of(control.features)
     if interior is None:
         raise Undetermined("the focal length of the camera is not stated",

@@ -73,7 +73,10 @@ TERMS = ("turn-line", "turn-sample", "turn-view", "shift-line", "shift-sample", 
 
 
 def options_of_camera(path: str) -> dict[str, Any]:
-    """Return the options that a camera file stands for."""
+    """Return the options of the model that a camera file stands for.
+
+    What it states, as its own values.
+    """
     known = interior_of_file(path)
     options: dict[str, Any] = {"focal": known.focal, "focal_spread": known.focal_spread,
                                "distortion": ",".join(map(repr, known.distortion))}
@@ -156,6 +159,7 @@ class KnownFrame(SensorModel):
         return float(max(np.linalg.norm(east - west), np.linalg.norm(north - south))) / 2.0
 
     def _metres(self, ground: FloatArray) -> FloatArray:
+        """Return scaled places (n, 3) in metres east, north and up of the middle of the control."""
         assert self.scaling is not None
         if self.crs in ("", LOCAL):
             return np.asarray(ground * np.array(self.scaling.ground_scale))
@@ -193,13 +197,13 @@ class KnownFrame(SensorModel):
 
     def without_lens(self, image: FloatArray) -> FloatArray:
         """Return scaled image positions (..., 2) as an ideal lens would have them."""
-        return self._through(image, self.lens.ideal)
+        return self._bent_or_straightened(image, self.lens.ideal)
 
     def with_lens(self, image: FloatArray) -> FloatArray:
         """Return scaled image positions (..., 2) of an ideal lens as this one has them."""
-        return self._through(image, self.lens.distorted)
+        return self._bent_or_straightened(image, self.lens.distorted)
 
-    def _through(self, image: FloatArray, bend: Any) -> FloatArray:
+    def _bent_or_straightened(self, image: FloatArray, bend: Any) -> FloatArray:
         """Return scaled image positions once the lens has bent their rays, or straightened them."""
         if self.lens.is_ideal:
             return image
@@ -230,7 +234,10 @@ class KnownFrame(SensorModel):
             experience=EXPERIENCE if stated is None else STATED_EXPERIENCE)
 
     def _position(self, ground: FloatArray) -> tuple[FloatArray | None, FloatArray | None]:
-        """Return the rough place of the camera and its standard deviations, by `unit`."""
+        """Return the rough place of the camera and its standard deviations (3,), by `unit`.
+
+        NaN for coordinates that are not stated; None and None if none is.
+        """
         position = np.full(3, np.nan)
         spread = np.full(3, np.nan)
         height = self.options["height"]
@@ -262,7 +269,12 @@ class KnownFrame(SensorModel):
         return camera
 
     def _camera_of_three_points(self, measured: Measured, camera: Pinhole) -> Pinhole:
-        """Return the camera of three points, which up to four cameras see alike (Grunert 1841)."""
+        """Return the camera of three points.
+
+        Raises Undetermined if another one explains them as well.
+
+        Up to four cameras see three points alike (Grunert 1841).
+        """
         cameras = cameras_of(measured)
         rows = np.ones((len(cameras), 3))
         costs = measured.costs(cameras, rows, camera.sigma)
@@ -284,7 +296,7 @@ class KnownFrame(SensorModel):
         return np.array([*turn, *camera.shift[0], np.log(camera.focal[0] / self.focal), *middle])
 
     def camera_of(self, values: FloatArray) -> Cameras:
-        """Return the cameras of values of terms (s, 9)."""
+        """Return the cameras of values of terms (s, 9), s of them."""
         rotation = rotations(values[:, :3]) @ self._downwards
         return Cameras(rotation, values[:, 3:6], self.focal * np.exp(values[:, 6]),
                                self._middle + values[:, 7:])
@@ -297,6 +309,7 @@ class KnownFrame(SensorModel):
 
     @property
     def _middle(self) -> FloatArray:
+        """Principal point in scaled image positions (2,)."""
         assert self.scaling is not None
         return np.asarray(self.scaling.image(self.principal))
 
@@ -326,7 +339,7 @@ class KnownFrame(SensorModel):
             *np.shape(coefficients)[:-1], len(ground), 2)
 
     def start(self, features: FeatureSet) -> FloatArray:
-        """Return the robust solution."""
+        """Return the values of terms (9,) of the robust solution."""
         return self.values_of(self.camera(features, None).camera)
 
     def equations(self, features: FeatureSet) -> Equations:

@@ -59,7 +59,10 @@ class CameraOptions:
 
 
 def of_exif(image: Path, features: FeatureSet) -> dict[str, str]:
-    """Return what the EXIF of an image shows of its camera; nothing where it is silent."""
+    """Return what the EXIF of an image tells of its camera, by the names of options.
+
+    Empty if it tells neither a known camera nor a focal length.
+    """
     with open_raster(image) as raster:
         size = int(raster.height), int(raster.width)
         tags = with_dataset(raster, exif_tags)
@@ -76,28 +79,28 @@ def exif_tags(dataset: Any) -> dict[str, str]:
 
 
 def _focal_of(tags: Mapping[str, str], size: tuple[int, int]) -> dict[str, str]:
-    """Return the camera by its name, or else its focal length [px]; nothing where none is told."""
+    """Return the camera by its name, or else its focal length [px], as options; {} if not told."""
     model = " ".join((tags.get("Make", ""), tags.get("Model", ""))).strip().lower()
     name = model.replace(" ", "-")
     if name in CAMERAS:
         return {"camera": name}
     pixels = float(np.hypot(*size))
-    equivalent = _first(tags.get("FocalLengthIn35mmFilm", ""))
+    equivalent = _number(tags.get("FocalLengthIn35mmFilm", ""))
     if equivalent > 0.0:
         return {"camera_focal": f"{equivalent / DIAGONAL * pixels:.1f}"}
-    focal = _first(tags.get("FocalLength", ""))
-    per_unit = _first(tags.get("FocalPlaneXResolution", ""))
+    focal = _number(tags.get("FocalLength", ""))
+    per_unit = _number(tags.get("FocalPlaneXResolution", ""))
     # Millimetres of EXIF's units of resolution: 2 is an inch, 3 a centimetre.
-    unit = {2: 25.4, 3: 10.0}.get(round(_first(tags.get("FocalPlaneResolutionUnit", "2"))), 0.0)
+    unit = {2: 25.4, 3: 10.0}.get(round(_number(tags.get("FocalPlaneResolutionUnit", "2"))), 0.0)
     # The resolution is of the sensor, of which the image may be a smaller copy.
     if focal > 0.0 and per_unit > 0.0 and unit > 0.0:
-        full_width = _first(tags.get("PixelXDimension", "")) or max(size)
+        full_width = _number(tags.get("PixelXDimension", "")) or max(size)
         return {"camera_focal": f"{focal / unit * per_unit * max(size) / full_width:.1f}"}
     return {}
 
 
 def _position_of(tags: Mapping[str, str], crs: str) -> dict[str, str]:
-    """Return the place of the camera in a CRS, as the option states it; nothing if not told."""
+    """Return the place of the camera in a CRS as an option; {} if the GPS tags or the CRS lack."""
     latitude, longitude = (_degrees(tags.get(f"GPS{name}", "")) for name in ("Latitude",
                                                                              "Longitude"))
     if crs in ("", LOCAL) or latitude is None or longitude is None or "GPSAltitude" not in tags:
@@ -105,12 +108,12 @@ def _position_of(tags: Mapping[str, str], crs: str) -> dict[str, str]:
     south = tags.get("GPSLatitudeRef", "N").strip().upper() == "S"
     west = tags.get("GPSLongitudeRef", "E").strip().upper() == "W"
     position = np.array([[-longitude if west else longitude, -latitude if south else latitude,
-                       _first(tags["GPSAltitude"])]])
+                       _number(tags["GPSAltitude"])]])
     x, y, z = transformation("EPSG:4979", crs)(position)[0].tolist()
     return {"camera_position": f"{x!r},{y!r},{z!r},{EXIF_POSITION_SPREAD:g}"}
 
 
-def _first(text: str) -> float:
+def _number(text: str) -> float:
     """Return the first number of a tag such as "(8.8)"; 0 without one."""
     match = _DIGITS.search(text)
     return float(match.group()) if match else 0.0

@@ -125,7 +125,10 @@ class _Flight:
         self.cameras: list[Pinhole | None] = [None] * len(photos)
 
     def least(self, focals: FloatArray, k1: float) -> float:
-        """Return the focal length of the least cost."""
+        """Return that of the focal lengths [px] whose cost is least.
+
+        Raises TermselError if none has one.
+        """
         costs = [self.cost(float(focal), k1)[0] for focal in focals]
         if not np.isfinite(costs).any():
             raise TermselError("no focal length has all control points in front of the cameras",
@@ -133,7 +136,10 @@ class _Flight:
         return float(focals[int(np.argmin(costs))])
 
     def cost(self, focal: float, k1: float) -> tuple[float, float]:
-        """Return the costs of all photos together, and the noise that they leave [px]."""
+        """Return the cost of all photos together, and the noise that they leave [px].
+
+        Both are infinite if a photo has no camera of this focal length and distortion.
+        """
         total = 0.0
         squares = []
         for i, photo in enumerate(self.photos):
@@ -150,7 +156,8 @@ class _Flight:
         return total, float(np.sqrt(np.median(squares)))
 
     def penalised_cost(self, focal: float, k1: float) -> float:
-        """Return the costs of all photos and that of a distortion, which is small beforehand."""
+        """Return the cost of all photos plus that of the distortion, which is expected to be small.
+        """
         return self.cost(focal, k1)[0] + (k1 / USUAL_DISTORTION) ** 2
 
     def _model(self, i: int, focal: float, k1: float) -> KnownFrame:
@@ -166,7 +173,10 @@ class _Flight:
             photo.scaling, photo.features.crs)
 
     def _camera(self, i: int, measured: Measured) -> Pinhole | None:
-        """Return the camera of a photo: next to the last one, farther away as f is longer."""
+        """Return the camera of the i-th photo; None if none has all points in front of it.
+
+        It is looked for next to the last one, farther away as the focal length grows.
+        """
         before = self.cameras[i]
         if before is None:
             return camera_of(measured)

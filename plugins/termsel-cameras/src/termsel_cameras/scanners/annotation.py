@@ -148,13 +148,13 @@ def annotation_file(path: Path, swath: str = "", polarisation: str = "") -> Path
 
 
 def _geometry(path: Path) -> str:
-    """Return what shows the geometry of an annotation, whatever its polarisation."""
+    """Return the geometry of an annotation as text, which all its polarisations have in common."""
     return replace(_read(path, changed(path)), source="", product="").text()
 
 
 @lru_cache(maxsize=8)
 def _read(path: Path, _changed: int) -> Annotation:
-    """Return the annotation of a file that was changed at that time."""
+    """Return the annotation of a file; `_changed`, its time of change, only renews the cache."""
     root = _root(path)
     try:
         return _annotation_from_xml(root, path.name)
@@ -163,6 +163,7 @@ def _read(path: Path, _changed: int) -> Annotation:
 
 
 def _root(path: Path) -> ElementTree.Element:
+    """Return the root element of an XML file; raises TermselError if it is none."""
     try:
         return ElementTree.fromstring(content_of(path))
     except (ElementTree.ParseError, ValueError, LookupError) as error:
@@ -170,7 +171,12 @@ def _root(path: Path) -> ElementTree.Element:
 
 
 def is_annotation(path: Path, head: bytes | None = None) -> bool:
-    """Return whether a file is an annotation of Sentinel-1, by its first elements."""
+    """Return whether a file is an annotation of Sentinel-1, by its first elements.
+
+    False if unreadable.
+
+    `head` is its beginning, if it has been read.
+    """
     try:
         if head is None:
             head = content_of(path)[:HEAD]
@@ -258,7 +264,12 @@ def _middle_range_time(root: ElementTree.Element, start: float, interval: float,
 
 
 def _area(root: ElementTree.Element) -> tuple[tuple[float, ...], ...]:
-    """Return least and largest longitude, latitude [deg] and height [m] of the lattice."""
+    """Return least and largest longitude, latitude [deg] and height [m] of the lattice.
+
+    () without one.
+
+    East of 180 degrees where it crosses the date line.
+    """
     points = root.findall(LATTICE)
     if not points:
         return ()
@@ -271,7 +282,10 @@ def _area(root: ElementTree.Element) -> tuple[tuple[float, ...], ...]:
 
 def _orbit(root: ElementTree.Element, start: float, duration: float,
            ) -> tuple[FloatArray, FloatArray]:
-    """Return times (m,) [s] and states (m, 6) [m, m/s] of the satellite about the image."""
+    """Return times (m,) [s] and states (m, 6) [m, m/s] of the satellite, from `start` on.
+
+    Raises TermselError if they do not cover the image, or are not Earth-fixed.
+    """
     vectors = root.findall("generalAnnotation/orbitList/orbit")
     frames = {(vector.findtext("frame") or "Earth Fixed").strip() for vector in vectors}
     if frames - {"Earth Fixed"}:
@@ -290,7 +304,7 @@ def _orbit(root: ElementTree.Element, start: float, duration: float,
 
 
 def _ground_ranges(root: ElementTree.Element, start: float) -> tuple[GroundRange, ...]:
-    """Return the polynomials from slant to ground range, in the order of time."""
+    """Return the polynomials from slant to ground range, in the order of time, which must grow."""
     records = root.findall("coordinateConversion/coordinateConversionList/coordinateConversion")
     found = []
     for record in records:
@@ -307,13 +321,14 @@ def _ground_ranges(root: ElementTree.Element, start: float) -> tuple[GroundRange
 
 
 def _bursts(root: ElementTree.Element, start: float, lines: int) -> tuple[Burst, ...]:
-    """Return the bursts of a TOPS image."""
+    """Return the bursts of a TOPS image, with time from `start` [s] and first line; () for others.
+    """
     return tuple(Burst(time=seconds_of(text_of(burst, "azimuthTime")) - start, line=number * lines)
                  for number, burst in enumerate(root.findall("swathTiming/burstList/burst")))
 
 
 def _nested_tuples(values: FloatArray) -> Any:
-    """Return an array as tuples of numbers."""
+    """Return an array as nested tuples of numbers, which can be compared and hashed."""
 
     def frozen(value: float | Sequence[Any]) -> Any:
         return tuple(frozen(part) for part in value) if isinstance(value, list) else value

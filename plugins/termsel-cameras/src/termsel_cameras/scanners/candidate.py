@@ -58,7 +58,12 @@ class NamedScanner(Method):
         return None
 
     def fit(self, control: FitData) -> Fit:
-        """Fit the scanner that is named."""
+        """Return the fit of the scanner that the points name.
+
+        Raises Undetermined if they name none.
+
+        The track is told by whether lines run to the north or to the south.
+        """
         named = sensor_of(control)
         if not named:
             raise Undetermined("no sensor is named", hint=f"Name it in a column {COLUMN!r}.")
@@ -123,7 +128,12 @@ class NamedRadar(Method):
                 "and timing are valid between them, too, so nothing is fitted to them.")
 
     def fit(self, control: FitData) -> Fit:
-        """Fit the shifts of the radar whose annotation is named; none to its own lattice."""
+        """Return the fit of the shifts of the radar that the points name.
+
+        No shift of its own lattice.
+
+        Raises Undetermined if they name none.
+        """
         named = sensor_of(control)
         if not names_annotation(named):
             raise Undetermined("no annotation is named",
@@ -140,7 +150,10 @@ class NamedRadar(Method):
         return 0.0
 
     def describe(self, fitted: Fit) -> str:
-        """Return whose annotation was used."""
+        """Return a sentence on whose annotation was used.
+
+        "" for its own lattice, where `settles` says it.
+        """
         assert isinstance(fitted.model, Radar)
         if not fitted.effective:
             return ""  # as `settles` says it
@@ -177,7 +190,8 @@ def _with_all_terms(estimator: Estimator, model: SensorModel, control: FitData) 
 
 
 def _scanner(named: str) -> Scanner | TrackedScanner:
-    """Return the scanner of a sensor's name, of a file of constants, or of one of metadata."""
+    """Return the scanner of a file of metadata, by its suffix, else of a sensor or its constants.
+    """
     if named.lower().endswith(SUFFIXES):
         return TrackedScanner(metadata=named)
     return Scanner(sensor=named)

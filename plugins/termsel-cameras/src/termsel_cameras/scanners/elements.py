@@ -17,7 +17,7 @@ _LONGEST = 40
 
 
 def text_of(element: ElementTree.Element, name: str) -> str:
-    """Return the text of a child, by its path."""
+    """Return the text of a child, by its path, stripped; raises TermselError if it is missing."""
     text = element.findtext(name)
     if text is None:
         raise TermselError(f"the element {name} is missing")
@@ -25,12 +25,15 @@ def text_of(element: ElementTree.Element, name: str) -> str:
 
 
 def number_of(element: ElementTree.Element, name: str) -> float:
-    """Return the number in a child."""
+    """Return the number in a child, by its path; raises TermselError if it has none."""
     return as_number(name, text_of(element, name))
 
 
 def as_number(name: str, text: str) -> float:
-    """Return a text of the element of that name as a finite number."""
+    """Return a text as a finite number.
+
+    Raises TermselError with the name of its element if it is none.
+    """
     try:
         value = float(text)
     except ValueError:
@@ -41,7 +44,10 @@ def as_number(name: str, text: str) -> float:
 
 
 def seconds_of(text: str) -> float:
-    """Return a time such as 2021-04-01T05:26:23.794457 in seconds from `EPOCH`."""
+    """Return a time such as 2021-04-01T05:26:23.794457 in seconds from `EPOCH`.
+
+    Raises TermselError if the text is no time.
+    """
     # The fraction may have more digits than a datetime keeps.
     whole, _, fraction = text.removesuffix("Z").partition(".")
     try:

@@ -78,7 +78,10 @@ class SentinelLattice(Reader):
         return _features(annotation, image, ground, str(file), columns)
 
     def _points_of_tags(self, path: Path) -> FeatureSet:
-        """Return the points in the tags of an image, counted from the centre of the first pixel."""
+        """Return the GCPs in the tags of an image; raises TermselError if it has none.
+
+        They count from the centre of the first pixel.
+        """
         with open_raster(path) as raster:
             gcps = raster.gcps[0]
             size = raster.shape
@@ -92,6 +95,7 @@ class SentinelLattice(Reader):
 
 
 def _head(path: Path) -> bytes:
+    """Return the first 64 KiB of a file; nothing if it cannot be read, as of a folder."""
     try:
         with path.open("rb") as file:
             return file.read(1 << 16)
@@ -100,7 +104,7 @@ def _head(path: Path) -> bytes:
 
 
 def _say_choice(images: tuple[Image, ...]) -> None:
-    """Say which polarisation is read, where there are several."""
+    """Log which polarisation is read, if there are several."""
     names = [image.polarisation for image in images]
     if len(names) > 1:
         log.warning("Note: the polarisations %s have one geometry; that of %s is read. --set "

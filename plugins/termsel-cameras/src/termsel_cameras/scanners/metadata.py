@@ -84,7 +84,10 @@ def metadata_of(given: str) -> Metadata:
 
 @lru_cache(maxsize=2)
 def _read(path: Path, _changed: int) -> Metadata:
-    """Return the metadata of a file, which was changed then: a candidate asks many times."""
+    """Return the metadata of a file; `_changed`, its time of change, only renews the cache.
+
+    It is cached as a candidate of auto asks many times.
+    """
     try:
         root = ElementTree.fromstring(read_data(path))
     except (ElementTree.ParseError, ValueError, LookupError) as error:
@@ -96,7 +99,7 @@ def _read(path: Path, _changed: int) -> Metadata:
 
 
 def _metadata_of_dimap(root: ElementTree.Element, name: str) -> Metadata:
-    """Return the metadata of a SPOT scene of level 1A."""
+    """Return the metadata of a SPOT scene of level 1A; raises TermselError for anything else."""
     strip = root.find("Data_Strip")
     if root.tag != "Dimap_Document" or strip is None:
         raise TermselError("it is no DIMAP file with a Data_Strip",
@@ -123,7 +126,7 @@ def _metadata_of_dimap(root: ElementTree.Element, name: str) -> Metadata:
         if len(some) < 2 or (np.diff(some) <= 0).any() or some[0] > ends[1] or some[-1] < ends[0]:
             raise TermselError(f"{what} does not cover the time of the scene",
                                hint="Give METADATA.DIM of this scene, as the vendor delivers it.")
-    near, close = (_about(some, ends) for some in (times, moments))
+    near, close = (_times_about_scene(some, ends) for some in (times, moments))
     looks = _looks(strip)
     keep = np.unique(np.linspace(0, len(looks) - 1, min(NODES, len(looks))).round().astype(int))
     return Metadata(
@@ -137,37 +140,47 @@ def _metadata_of_dimap(root: ElementTree.Element, name: str) -> Metadata:
         _numbers_of_text(looks[keep, 1:]))
 
 
-def _about(times: FloatArray, ends: FloatArray) -> slice:
-    """Return which times are about the scene, at least one before and one after it if there are."""
+def _times_about_scene(times: FloatArray, ends: FloatArray) -> slice:
+    """Return the slice of times from `MARGIN` before the scene to as much after it.
+
+    It takes one more at either end, if there is one. `ends` are the first and last moment [s].
+    """
     first, last = np.searchsorted(times, ends + np.array([-MARGIN, MARGIN]))
     return slice(max(int(first) - 1, 0), int(last) + 1)
 
 
 def _attitude(strip: ElementTree.Element, start: float) -> tuple[FloatArray, FloatArray]:
-    """Return times and angles: corrected ones, else the integral of raw angular speeds."""
+    """Return times (m,) [s from `start`] and angles (m, 3) [rad] of the satellite.
+
+    They are the corrected angles, or else the integral of the angular speeds, 0 in the middle.
+    Raises TermselError if there are neither.
+    """
     below = "Satellite_Attitudes"
     for where in (f"{below}/Corrected_Attitudes/Corrected_Attitude/Angles",
                   f"{below}/Raw_Attitudes/Aocs_Attitude/Angular_Speeds_List/Angular_Speeds"):
-        found = [one for one in strip.findall(where)
-                 if (one.findtext("OUT_OF_RANGE") or "N").strip().upper() != "Y"]
+        found = [element for element in strip.findall(where)
+                 if (element.findtext("OUT_OF_RANGE") or "N").strip().upper() != "Y"]
         if not found:
             continue
-        times = np.array([seconds_of(text_of(one, "TIME")) - start for one in found])
-        values = np.array([[number_of(one, name) for name in ANGLES] for one in found])
+        times = np.array([seconds_of(text_of(element, "TIME")) - start for element in found])
+        values = np.array([[number_of(element, name) for name in ANGLES] for element in found])
         if where.endswith("Speeds"):  # by trapezia; the biases take what is constant
             steps = np.diff(times)[:, None] * (values[1:] + values[:-1]) / 2
             values = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
-            values -= [np.interp(0.0, times, one) for one in values.T]
+            values -= [np.interp(0.0, times, element) for element in values.T]
         return times, values
     raise TermselError("Satellite_Attitudes has neither corrected angles nor angular speeds")
 
 
 def _looks(strip: ElementTree.Element) -> FloatArray:
-    """Return detectors, of which the first is 1, with their two look angles, (m, 3)."""
+    """Return detectors, counted from 1, with their two look angles [rad], (m, 3).
+
+    Raises TermselError if they are not in a row.
+    """
     first = strip.find("Sensor_Configuration/Instrument_Look_Angles_List/Instrument_Look_Angles")
     found = [] if first is None else first.findall("Look_Angles_List/Look_Angles")
-    looks = np.array([[number_of(one, name) for name in ("DETECTOR_ID", "PSI_X", "PSI_Y")]
-                      for one in found]).reshape(-1, 3)
+    looks = np.array([[number_of(element, name) for name in ("DETECTOR_ID", "PSI_X", "PSI_Y")]
+                      for element in found]).reshape(-1, 3)
     if len(looks) < 2 or (np.diff(looks[:, 0]) <= 0).any() or not (
             (np.diff(looks[:, 2]) > 0).all() or (np.diff(looks[:, 2]) < 0).all()):
         raise TermselError("Instrument_Look_Angles_List has no two detectors in a row")

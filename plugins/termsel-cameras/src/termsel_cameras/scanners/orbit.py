@@ -52,7 +52,8 @@ def geocentric(ground: FloatArray) -> FloatArray:
 
 
 def axes_at(lon: float, lat: float) -> FloatArray:
-    """Return east, north and up at a place [deg], as rows."""
+    """Return east, north and up at a longitude and latitude [deg], as rows of (3, 3), Earth-fixed.
+    """
     a, b = np.radians([lon, lat])
     east = np.array([-np.sin(a), np.cos(a), 0.0])
     up = np.array([np.cos(b) * np.cos(a), np.cos(b) * np.sin(a), np.sin(b)])

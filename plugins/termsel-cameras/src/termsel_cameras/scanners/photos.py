@@ -98,7 +98,10 @@ class Photo(Physical):
         return np.asarray((geocentric(self.geographic(ground)) - geocentric(middle)) @ axes.T)
 
     def starts(self, features: FeatureSet) -> FloatArray:
-        """Return the values of terms from which a fit begins: those of an affine transformation."""
+        """Return the values of terms (s, k) from which fits begin.
+
+        Of an affine map, or of a pinhole view.
+        """
         slopes = self.slopes_of(features)
         # How north is seen shows the turn; the area of a unit square shows the scale.
         turn = np.arctan2(slopes[1, 1], slopes[0, 1])
@@ -112,8 +115,7 @@ class Photo(Physical):
         return of_view if len(of_view) else starts
 
     def starts_of_view(self, features: FeatureSet) -> FloatArray:
-        """Return the values of terms of the pinhole camera of the points, (s, k), or none, (0, k).
-        """
+        """Return the terms (1, k) of the pinhole camera of the points; (0, k) if they have none."""
         points = features.points
         pinhole = pinhole_of(FeatureSet(points, crs=self.crs), known(self.scaling))
         # The middle of the points must be in front of the camera.
@@ -326,7 +328,8 @@ class FewOfPhoto(Method):
     camera: type[Photo] = Frame
 
     def declines(self, control: FitData) -> str | None:
-        """Return why the features are not for a photo."""
+        """Return why the features are not for a photo, as part of a sentence; None if they may be.
+        """
         features = control.features
         if len(features.lines) or len(features.points) < MIN_PHOTO_POINTS:
             return (f"it is for {MIN_PHOTO_POINTS} to {MAX_PHOTO_POINTS} control points, without "
@@ -340,7 +343,7 @@ class FewOfPhoto(Method):
         return None
 
     def _has_relief(self, control: FitData) -> bool:
-        """Return whether heights do something in the image, though polynomials do not show it."""
+        """Return whether heights differ enough from a plane to show in the image of a photo."""
         points = control.scaled.points
         model = self.camera().prepared(control.scaling, control.features.crs)
         assert isinstance(model, Photo)
@@ -365,7 +368,10 @@ class FewOfPhoto(Method):
         return view is not None and view.depth < OBLIQUE
 
     def fit(self, control: FitData) -> Fit:
-        """Fit the camera by all features."""
+        """Return the camera fitted to all features.
+
+        Raises Undetermined if they are plainly not a photo's.
+        """
         model = self.camera().prepared(control.scaling, control.features.crs)
         assert isinstance(model, Photo)
         # A negative determinant: east and north are seen the other way round.
@@ -386,7 +392,7 @@ class FewOfPhoto(Method):
         return fitted
 
     def model(self, heights: bool) -> SensorModel | None:
-        """Return the camera, where there are heights."""
+        """Return the camera; None without heights."""
         return self.camera() if heights else None
 
     def size(self, heights: bool) -> float:
@@ -394,7 +400,7 @@ class FewOfPhoto(Method):
         return np.inf
 
     def describe(self, fitted: Fit) -> str:
-        """Return that the fit converged, and what it took the camera for."""
+        """Return sentences on what camera the fit found: its focal length and its tilt."""
         values: dict[str, Any] = fitted.coefficients
         focal = FOCAL * np.exp(FOCAL_SPREAD * values["focal"])
         assert isinstance(fitted.model, Photo)

@@ -59,7 +59,7 @@ HUBER = 3.0
 
 
 def known(scaling: Scaling | None) -> Scaling:
-    """Return the scaling of a prepared model."""
+    """Return the scaling of a prepared model; raises TermselError if it is None, not prepared."""
     if scaling is None:
         raise TermselError("the model is not prepared: its position on Earth is not known",
                            hint="Fit it, or call its method prepared first.")
@@ -120,7 +120,7 @@ class Physical(SensorModel):
         return weights
 
     def start(self, features: FeatureSet) -> FloatArray:
-        """Return the solution of the robust fit to points."""
+        """Return the terms (k,) of the robust fit to points; raises TermselError without points."""
         if not len(features.points):
             raise TermselError(f"model {self.name!r} requires control points to start from",
                                hint="Measure points, or choose another model.")
@@ -152,7 +152,7 @@ class Physical(SensorModel):
             pickled = pickle.dumps((self, features.points))
         except (AttributeError, TypeError, pickle.PicklingError):
             # The class is defined in a function, or an option is no plain value.
-            return _best(self, features.points)
+            return _best_solution(self, features.points)
         return _cached_best_fit(pickled)
 
     def cost(self, features: FeatureSet, values: FloatArray) -> tuple[float, FloatArray]:
@@ -166,7 +166,7 @@ class Physical(SensorModel):
         loss = np.where(large > HUBER, 2 * HUBER * large - HUBER**2, large**2)
         return float(loss.sum() + ((self.prior() / unit * values) ** 2).sum()), away
 
-    def _bent(self, values: FloatArray, step: FloatArray, ground: FloatArray) -> FloatArray:
+    def _off_tangent(self, values: FloatArray, step: FloatArray, ground: FloatArray) -> FloatArray:
         """Return how far image positions at the end of a step are off its tangent, (n, 2)."""
         # The second derivative along the step, by a central difference.
         ends = values + BEND * np.array([[1.0], [0.0], [-1.0]]) * step
@@ -212,7 +212,7 @@ class Physical(SensorModel):
                                      hermitian=True)
             full_step = inverse @ right
             # The way bends where altitude, pixel and period make up for each other.
-            bent = self._bent(values, full_step, points.ground)
+            bent = self._off_tangent(values, full_step, points.ground)
             correction = inverse @ (A.T @ (huber_weights * weight / unit * bent).ravel())
             largest = AHEAD * np.linalg.norm(full_step)
             if np.isfinite(correction).all() and np.linalg.norm(correction) < largest:
@@ -256,7 +256,7 @@ class RobustFit(Estimator):
         # From here on the camera counts as linear about the solution.
         equations = ready.linearised(scaled, solution.values)
         values = solution.values
-        residuals, effective, errors = _left_out(equations, values, len(used_features.points))
+        residuals, effective, errors = _without_each(equations, values, len(used_features.points))
         count = round(effective)
         # Deviations under a prior are not those of least squares.
         unknown = np.full(len(values), np.nan)
@@ -306,7 +306,8 @@ class ShiftFit(RobustFit):
 
     def fit(self, model: Any, control: FeatureSet, scaling: Scaling, terms: BoolArray,
             used: BoolArray) -> Fit:
-        """Fit a camera (see `Estimator.fit`), or hold it against its own lattice."""
+        """Return the fit of the shifts; none are fitted to points that are the radar's own lattice.
+        """
         ready = model.prepared(scaling, control.crs)
         used_features = control.take(used)
         # A computed lattice has no errors of measurement to be corrected by.
@@ -367,12 +368,13 @@ def as_stated(ready: Physical, control: FitData) -> FloatArray | None:
 
 @lru_cache(maxsize=8)
 def _cached_best_fit(pickled: bytes) -> Solution:
-    """Return the best fit of a model to scaled points, both as bytes."""
-    return _best(*pickle.loads(pickled))
+    """Return the best fit of a model to scaled points, given pickled so that they can be cached."""
+    return _best_solution(*pickle.loads(pickled))
 
 
-def _best(model: Physical, points: Points) -> Solution:
-    """Return the solution of the least cost, from all starts of a model."""
+def _best_solution(model: Physical, points: Points) -> Solution:
+    """Return the solution of the least cost from all starts; raises Undetermined if none has one.
+    """
     features = FeatureSet(points)
     ends: list[Solution] = [
         solution for start in model.starts(features)
@@ -391,8 +393,8 @@ def _weight(features: FeatureSet) -> FloatArray:
         np.asarray(np.median(sigma) / sigma)
 
 
-def _left_out(equations: Equations, values: FloatArray, count: int,
-              ) -> tuple[FloatArray, float, FloatArray]:
+def _without_each(equations: Equations, values: FloatArray, count: int,
+                  ) -> tuple[FloatArray, float, FloatArray]:
     """Return residuals, effective parameters and errors of points (n, 2) by all others.
 
     To first order: P^-1 v of the rows of a point, P the part of the residuals that it leaves.

@@ -72,7 +72,7 @@ def images_of(path: Path) -> tuple[Image, ...]:
     if path.name.lower() == "manifest.safe":
         return _sorted_names(_annotations_in_folder(path.parent))
     if head in _TIFF:
-        return tuple(_image(place) for place in _next_to(path))
+        return tuple(_image(place) for place in _annotation_of_image(path))
     return ()
 
 
@@ -134,7 +134,7 @@ def content_of(path: Path) -> bytes:
 
 
 def archive_of(path: Path) -> Path | None:
-    """Return the zip that a path leads into, if it does."""
+    """Return the zip that a path leads into; None if it leads into none."""
     return next((parent for parent in path.parents if parent.is_file()), None)
 
 
@@ -144,7 +144,10 @@ def changed(path: Path) -> int:
 
 
 def _annotations_in_folder(folder: Path) -> list[Path]:
-    """Return the annotations of a product's folder, or of the one in a folder around it."""
+    """Return the annotations of a product's folder, or of the one in a folder around it.
+
+    [] if none.
+    """
     inner = folder / "annotation"
     if not inner.is_dir():
         products = [entry for entry in folder.iterdir()
@@ -158,7 +161,8 @@ def _annotations_in_folder(folder: Path) -> list[Path]:
 
 
 def _annotations_in_zip(path: Path) -> list[Path]:
-    """Return the annotations in the zip of a product."""
+    """Return the annotations in the zip of a product, as paths that lead into it; [] if it is none.
+    """
     try:
         with zipfile.ZipFile(path) as packed:
             names = packed.namelist()
@@ -171,8 +175,8 @@ def _annotations_in_zip(path: Path) -> list[Path]:
             and ".." not in name.parts and not name.is_absolute() and _is_annotation(name.name)]
 
 
-def _next_to(image: Path) -> list[Path]:
-    """Return the annotation of an image: in the folder next to its own, or next to it."""
+def _annotation_of_image(image: Path) -> list[Path]:
+    """Return the annotation of an image, in the folder next to its own or beside it; [] if none."""
     stem = re.sub("-cog$", "", image.stem, flags=re.IGNORECASE)
     folders = (image.parent.parent / "annotation", image.parent)
     places = [folder / f"{name}.xml" for folder in folders
@@ -185,6 +189,8 @@ def _is_annotation(name: str) -> bool:
 
 
 def _image(annotation: Path) -> Image:
+    """Return the image of an annotation, with swath and polarisation by its name; "" if not stated.
+    """
     found = NAMES.match(annotation.name)
     return Image(annotation, found["swath"].upper() if found else "",
                  found["polarisation"].upper() if found else "")

@@ -121,12 +121,15 @@ class Radar(Physical):
         return self.annotation.source
 
     def known_image(self) -> KnownImage | None:
-        """Return the size of the image, and the area of the annotation's lattice."""
+        """Return the size of the image, and the area of the annotation's lattice.
+
+        None without a lattice.
+        """
         stated = self.annotation
         return KnownImage(stated.size, np.array(stated.area)) if stated.area else None
 
     def starts(self, features: FeatureSet) -> FloatArray:
-        """Return the values of terms from which a fit begins: no shift."""
+        """Return the values of terms from which a fit begins, (1, k): no shift."""
         return np.zeros((1, len(TERMS)))
 
     def image_of(self, values: FloatArray, ground: FloatArray) -> FloatArray:
@@ -173,7 +176,7 @@ class Radar(Physical):
 
     @staticmethod
     def _require_middle(annotation: Annotation) -> None:
-        """Refuse an annotation whose lattice does not say for which echoes lines are timed."""
+        """Raise TermselError if the lattice does not say by which echoes lines are timed."""
         if annotation.middle_range_time is None:
             raise TermselError(
                 f"{annotation.source}: its lattice does not state by which echoes lines are timed",
@@ -205,7 +208,10 @@ class Radar(Physical):
 
 
 def _first_line(annotation: Annotation, burst: int) -> tuple[float, float]:
-    """Return the time [s] and the number of the line from which others are counted."""
+    """Return the time [s] and the number of the line from which others are counted.
+
+    `burst` counts from 1, and is 0 for an image without bursts. Raises TermselError otherwise.
+    """
     bursts = annotation.bursts
     if not bursts:
         if burst:
@@ -240,8 +246,8 @@ def zero_doppler(annotation: Annotation, targets: FloatArray,
     seen : ndarray of bool, shape (n,)
         False on the left of the track, and where the orbit does not reach.
     """
-    orbit, motion, acceleration = _track(annotation.times, annotation.positions,
-                                         annotation.velocities)
+    orbit, motion, acceleration = _splines_of_orbit(annotation.times, annotation.positions,
+                                                    annotation.velocities)
     first = annotation.times[0]
     last = annotation.times[-1]
     time = np.full(len(targets), annotation.size[0] * annotation.line_interval / 2.0)
@@ -266,8 +272,8 @@ def zero_doppler(annotation: Annotation, targets: FloatArray,
 
 
 @lru_cache(maxsize=8)
-def _track(times: tuple[float, ...], positions: Vectors, velocities: Vectors,
-           ) -> tuple[Any, Any, Any]:
+def _splines_of_orbit(times: tuple[float, ...], positions: Vectors, velocities: Vectors,
+                      ) -> tuple[Any, Any, Any]:
     """Return splines of position [m], velocity [m/s] and acceleration [m/s^2] by time [s]."""
     # Other models need not import it.
     from scipy.interpolate import CubicHermiteSpline, CubicSpline

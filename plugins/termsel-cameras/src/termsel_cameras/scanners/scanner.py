@@ -66,7 +66,7 @@ class Scanner(Physical):
         return self.sensor.source
 
     def starts(self, features: FeatureSet) -> FloatArray:
-        """Return the values of terms from which a fit begins: views to either side."""
+        """Return the values of terms from which fits begin, (5, k): views to either side."""
         starts = np.zeros((5, len(TERMS)))
         starts[:, TERMS.index("side")] = np.linspace(-1.6, 1.6, 5)
         return starts

@@ -115,7 +115,8 @@ def sensor_named(name: str) -> Sensor:
 
 
 def _check_sensor(content: object, path: Path) -> Sensor:
-    """Return the sensor that a file describes."""
+    """Return the sensor that the content of a file describes; raises TermselError for a bad field.
+    """
     known = {field.name: field.default for field in fields(Sensor)}
     hint = f"Fields are {', '.join(known)}; those after source may be left out."
     if not isinstance(content, dict):

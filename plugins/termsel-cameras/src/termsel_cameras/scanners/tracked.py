@@ -75,7 +75,7 @@ class TrackedScanner(Physical):
         return self.metadata.source
 
     def starts(self, features: FeatureSet) -> FloatArray:
-        """Return the values of terms from which a fit begins: none."""
+        """Return the values of terms from which a fit begins, (1, k): no correction."""
         return np.zeros((1, len(TERMS)))
 
     def image_of(self, values: FloatArray, ground: FloatArray) -> FloatArray:

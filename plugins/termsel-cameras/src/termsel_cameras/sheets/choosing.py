@@ -63,7 +63,10 @@ def tried_projections(sheets: Sequence[FeatureSet],
 
 def chosen_of(ranked: Sequence[Tried], candidates: Sequence[Projection],
               nearly: float = NEARLY) -> Tried:
-    """Return the projection that is taken: of those that predict alike the first candidate."""
+    """Return the first candidate among the projections that predict about as well as the best.
+
+    About as well: an RMSE up to `nearly` times the least. Raises TermselError if none predicts.
+    """
     best = ranked[0].rmse
     if not np.isfinite(best):
         raise TermselError("in no projection the points determine a model",
@@ -75,7 +78,10 @@ def chosen_of(ranked: Sequence[Tried], candidates: Sequence[Projection],
 
 
 def _predicted_rmse(features: FeatureSet, crs: str) -> float:
-    """Return the RMSE of held-out points [px] in a projection; infinite where there is none."""
+    """Return the RMSE of held-out points [px] in a projection.
+
+    Infinite where no model is determined.
+    """
     try:
         choice = Auto().choose(FitData.of(replace(features, fit_crs=crs)))
     except TermselError:

@@ -86,7 +86,10 @@ class Paper:
 
 
 def matrix_of(values: FloatArray) -> FloatArray:
-    """Return the matrix (2, 2) from ground x, y to sample and minus line, of four numbers."""
+    """Return the matrix (2, 2) from ground x, y to sample and minus line [px].
+
+    `values` are log scale, turn [rad], stretch and shear.
+    """
     scale, turn, stretch, shear = values
     # S = [[h e^r, k], [k, h e^-r]] has the determinant h^2 - k^2 = 1.
     h = np.hypot(1.0, shear)
@@ -100,7 +103,10 @@ def rotation_by(turn: float) -> FloatArray:
 
 
 def values_of(matrix: FloatArray) -> FloatArray:
-    """Return the four numbers of a matrix (2, 2) of positive determinant (polar decomposition)."""
+    """Return log scale, turn [rad], stretch and shear of a matrix (2, 2) of positive determinant.
+
+    By the polar decomposition: a rotation, and a symmetric part of determinant 1.
+    """
     u, singular, v = np.linalg.svd(matrix)
     turned = u @ v
     paper = (u * singular) @ u.T / np.sqrt(singular.prod())
@@ -110,7 +116,10 @@ def values_of(matrix: FloatArray) -> FloatArray:
 
 
 def sheet_of(features: FeatureSet) -> Sheet | None:
-    """Return what a sheet shows, in its CRS of the fit; None of few points or a mirrored scan."""
+    """Return scale, turn, stretch and shear of a sheet with their variances, in its CRS of the fit.
+
+    None if it has lines, fewer points than that takes, points on a line, or a mirrored scan.
+    """
     points = features.points
     count = len(points)
     if count < MIN_POINTS_OF_PAPER or len(features.lines):
@@ -146,7 +155,8 @@ def upright(image: FloatArray) -> FloatArray:
 
 
 def marks_of(features: FeatureSet) -> tuple[str, ...]:
-    """Return a mark of each point, by its coordinates in the image and on the ground."""
+    """Return a mark of each point by its coordinates, so that the same point is known in two files.
+    """
     points = features.points
     rows = np.column_stack([points.image.round(3), points.ground[:, :2].round(6)])
     return tuple(hashlib.sha256(repr(row.tolist()).encode()).hexdigest()[:12] for row in rows)

@@ -77,7 +77,7 @@ class SheetOptions:
 
 
 def _projection_in_words(ranked: Sequence[Tried], taken: Tried) -> str:
-    """Return which projection is taken, next to which ones."""
+    """Return sentences on which projection is taken, and how well it and its rivals predict."""
     from termsel_cameras.sheets.choosing import NEARLY
 
     def named(projections: Sequence[Tried]) -> str:
@@ -94,7 +94,10 @@ def _projection_in_words(ranked: Sequence[Tried], taken: Tried) -> str:
 
 
 def _sheet_of_series(features: FeatureSet, values: Mapping[str, Any]) -> FeatureSet:
-    """Return a sheet with what its series shows."""
+    """Return a sheet with the projection and paper of its series.
+
+    Raises TermselError if options state a projection, too.
+    """
     from termsel_cameras.sheets.series_file import in_series, read_series  # it fits models
 
     if other := values.keys() & {"projection", "projection_candidates", "map_century"}:

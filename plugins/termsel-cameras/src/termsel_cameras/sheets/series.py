@@ -53,7 +53,7 @@ PAPER = Option("paper", "", "Expected scale, turn, stretch and shear, their stan
 
 
 def text_of(paper: Paper) -> str:
-    """Return what is known of a sheet as the column states it."""
+    """Return what is known of a sheet as the column states it: its numbers with commas between."""
     numbers = [*paper.means, *paper.spreads, paper.noise, paper.freedom, paper.sheets]
     return ",".join(repr(float(number)) for number in numbers)
 
@@ -146,7 +146,9 @@ class BySeries(Estimator):
 
     def _posterior(self, model: SeriesSheet, in_use: FeatureSet,
                    scaling: Scaling) -> tuple[_Posterior, FloatArray]:
-        """Return the sheet by its points, and the middle of these on the ground."""
+        """Return the sheet by its points and its paper, and the middle (2,) of the points on the
+        ground.
+        """
         plan = plan_of(in_use, scaling)
         middle = plan.mean(axis=0)
         return posterior_of(model.paper, plan - middle, upright(in_use.points.image)), middle
@@ -194,7 +196,7 @@ def posterior_of(paper: Paper, plan: FloatArray, measured: FloatArray,
 
 
 def _start(paper: Paper, plan: FloatArray, measured: FloatArray) -> FloatArray:
-    """Return a similarity by two points or more, or else what is expected."""
+    """Return the six values of a similarity by the points, or of the paper if they are too few."""
     place = measured.mean(axis=0)
     about = measured - place
     size = float((plan**2).sum())
@@ -273,7 +275,7 @@ class SheetOfSeries(Method):
     """A sheet whose series shows what its paper is like."""
 
     def declines(self, control: FitData) -> str | None:
-        """Return why no series is known, or the sheet is none of it."""
+        """Return why no series is known, or the sheet is not for one; None if it is."""
         features = control.features
         if COLUMN not in features.points.attributes:
             return "no series of sheets is stated"
@@ -299,7 +301,7 @@ class SheetOfSeries(Method):
         return 0.0
 
     def describe(self, fitted: Fit) -> str:
-        """Return what was borrowed from the other sheets, and how sure it is."""
+        """Return sentences on what was borrowed from the other sheets, and how sure it is."""
         assert isinstance(fitted.model, SeriesSheet)
         paper = fitted.model.paper
         spreads = paper.spreads
@@ -312,7 +314,7 @@ class SheetOfSeries(Method):
 
 
 def stated_paper(features: FeatureSet) -> str:
-    """Return the one value of the column."""
+    """Return the one value that the column has; raises Undetermined if points differ in it."""
     values = {str(value) for value in features.points.attributes[COLUMN]}
     if len(values) != 1:
         raise Undetermined(f"the column {COLUMN} has {len(values)} values, and a sheet one series",

@@ -39,16 +39,20 @@ class Series:
                            "sheets": [asdict(sheet) for sheet in self.sheets]}, indent=1) + "\n"
 
     def paper_for(self, features: FeatureSet) -> Paper:
-        """Return what the others show of a sheet: one with a point of this sheet is itself."""
+        """Return what the other sheets tell of a sheet; one that shares a point with it is itself.
+        """
         marks = set(marks_of(features))
         return paper_of([sheet for sheet in self.sheets if marks.isdisjoint(sheet.points)])
 
 
 def series_of(sheets: Sequence[FeatureSet], projection: str) -> Series:
-    """Return the series of sheets in their projection. Independent check points take no part."""
+    """Return the series of sheets in their projection, "" for their own CRS.
+
+    Sheets that tell nothing are left out; independent check points take no part.
+    """
     fitted = [replace(sheet, fit_crs=projection) if projection else sheet for sheet in sheets]
-    told = [sheet_of(without_independent(sheet)) for sheet in fitted]
-    return Series(projection, tuple(sheet for sheet in told if sheet is not None))
+    sheets_that_tell = [sheet_of(without_independent(sheet)) for sheet in fitted]
+    return Series(projection, tuple(sheet for sheet in sheets_that_tell if sheet is not None))
 
 
 def read_series(path: Path | str) -> Series:
@@ -71,7 +75,9 @@ def read_series(path: Path | str) -> Series:
 
 
 def _sheet(item: Any) -> Sheet:
-    """Return a sheet of a file; any error of its values is one of the file."""
+    """Return a sheet of a file; raises ValueError, KeyError or TypeError if its values are no
+    sheet's.
+    """
     values = tuple(float(value) for value in item["values"])
     variances = tuple(float(value) for value in item["variances"])
     noise, freedom = float(item["noise"]), int(item["freedom"])

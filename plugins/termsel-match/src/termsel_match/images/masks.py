@@ -158,11 +158,11 @@ def tell_of_idle(masks: Sequence[Path | str], images: Sequence[Path | str],
             continue
         shapes, crs = polygons(name)
         if crs:
-            idle = not any(_touch(shapes, _bounds(file, crs)) for file in references)
+            idle = not any(_touches(shapes, _bounds(file, crs)) for file in references)
             target = "any reference"
         else:
             shapes = np.array([_polygon_in_pixels(shape) for shape in shapes])
-            idle = not any(_touch(shapes, _bounds(file)) for file in images)
+            idle = not any(_touches(shapes, _bounds(file)) for file in images)
             target = "the image"
         if idle:
             hint = (" Save polygons that are in px in a GeoPackage without a CRS: GeoJSON has "
@@ -172,7 +172,10 @@ def tell_of_idle(masks: Sequence[Path | str], images: Sequence[Path | str],
 
 
 def _bounds(path: Path | str, crs: str = "") -> tuple[float, ...] | None:
-    """Return the bounds of a raster in a CRS or else in px; None where they are not known."""
+    """Return the bounds (left, bottom, right, top) of a raster in a CRS, or in px if that is "".
+
+    None if the raster has no CRS, or cannot be transformed.
+    """
     from rasterio.crs import CRS
     from rasterio.errors import CRSError
     from rasterio.warp import transform_bounds
@@ -190,13 +193,13 @@ def _bounds(path: Path | str, crs: str = "") -> tuple[float, ...] | None:
     return tuple(bounds) if np.isfinite(bounds).all() else None
 
 
-def _touch(shapes: NDArray[Any], bounds: tuple[float, ...] | None) -> bool:
-    """Return whether any polygon touches bounds; True where these are not known."""
+def _touches(shapes: NDArray[Any], bounds: tuple[float, ...] | None) -> bool:
+    """Return whether any polygon touches bounds; True if these are None, as they are not known."""
     return bounds is None or bool(shapely.intersects(shapes, shapely.box(*bounds)).any())
 
 
 def _polygon_in_pixels(shape: Any) -> Any:
-    """Return a polygon in columns and rows from the corner of the first pixel."""
+    """Return a polygon in columns and rows from the corner of the first pixel, rows downwards."""
     coordinates = shapely.get_coordinates(shape)
     # QGIS draws an image without CRS below the axis, with negative y.
     down = -1.0 if (coordinates[:, 1] <= 0).all() else 1.0
@@ -204,7 +207,7 @@ def _polygon_in_pixels(shape: Any) -> Any:
 
 
 def _windows_in_polygons(shapes: list[Any]) -> Excluded:
-    """Return where windows are in polygons, which are in columns and rows."""
+    """Return a function that draws polygons (in columns and rows) as a mask of a window."""
     def drawn(first_line: int, first_sample: int, shape: tuple[int, int], step: int) -> Mask:
         """Return which pixels of a window the polygons cover."""
         from rasterio.features import rasterize
@@ -281,11 +284,11 @@ def by_bands(picture: GreyRaster) -> tuple[Excluded, ...]:
                                                                                  is_known & ~high):
             return
         log.info("Note: %.0f %% of the image is %s, where nothing is matched (--mask none).",
-                 100 * _wide(high).mean(), name)
+                 100 * _wide_areas(high).mean(), name)
 
         def excluded(first_line: int, first_sample: int, shape: tuple[int, int], step: int) -> Mask:
             values, is_known = read_bands(of_bands, first_line, first_sample, shape, step)
-            return _wide(is_known & (index(values) > limit))
+            return _wide_areas(is_known & (index(values) > limit))
 
         excluded_areas.append(excluded)
 
@@ -312,7 +315,10 @@ def by_bands(picture: GreyRaster) -> tuple[Excluded, ...]:
 def read_bands(picture: GreyRaster, first_line: int, first_sample: int, shape: tuple[int, int],
                step: int,
                ) -> tuple[FloatArray, Mask]:
-    """Return the values of each band of a window, (c, lines, samples), and where all are known."""
+    """Return the values of a window's bands (c, lines, samples), and where all bands have data.
+
+    `shape` is in steps, each of which is `step` px.
+    """
     windows = [replace(picture, bands=(band,), excluded=()).read(
         first_line, first_sample, shape[0] * step, shape[1] * step, step) for band in picture.bands]
     # Known is what all bands know.
@@ -321,7 +327,10 @@ def read_bands(picture: GreyRaster, first_line: int, first_sample: int, shape: t
 
 
 def otsu(values: FloatArray) -> tuple[float, float]:
-    """Return the threshold that divides values best, and the part of their variance between."""
+    """Return the threshold that divides values best, and the share of variance between both parts.
+
+    The share is 0 to 1; 0 if all values are alike.
+    """
     # Otsu: the variance between both classes, (m t - m_t)^2 / (t (1 - t)), is largest.
     count, edges = np.histogram(values, 256)
     middle = (edges[1:] + edges[:-1]) / 2
@@ -337,8 +346,8 @@ def otsu(values: FloatArray) -> tuple[float, float]:
     return float(edges[best + 1]), float(between[best] / variance) if variance > 0 else 0.0
 
 
-def _wide(mask: Mask) -> Mask:
-    """Return areas that are wide, with what lies around them."""
+def _wide_areas(mask: Mask) -> Mask:
+    """Return the parts of a mask at least `_MIN_WIDTH` pixels wide, grown by half of that."""
     # Opening removes what is narrower than the square, dilation adds the seam of a cloud.
     wide = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN,
                             np.ones((_MIN_WIDTH, _MIN_WIDTH), np.uint8))

@@ -82,6 +82,7 @@ def start_by_overview(picture: GreyRaster, reference: Path | str, band: int | No
 
 
 def _say_if_long(picture: GreyRaster) -> None:
+    """Log a note if a whole image has to be read to be reduced, which may take minutes."""
     pixels = picture.size[0] * picture.size[1] * len(picture.bands)
     if pixels > _MANY_PIXELS and not picture.raster.overviews(picture.bands[0]):
         log.info("Note: all %d x %d px of %s are read to find the image in the reference, which "
@@ -94,7 +95,8 @@ def _step(size: tuple[int, int]) -> int:
 
 
 def _whole_described(picture: GreyRaster) -> tuple[FloatArray, Grey]:
-    """Return keypoints of a whole picture in its own pixels, and their descriptors."""
+    """Return keypoints (n, 2) of a whole picture in its own pixels, and their descriptors (n, 128).
+    """
     step = _step(picture.size)
     keypoints, vectors = described(*picture.read(0, 0, *picture.size, step))
     # The middle of a reduced pixel is that of the pixels it was made of.

@@ -115,7 +115,7 @@ class GreyRaster:
         # Without a stated value, areas that are exactly 0 in all bands are where an image was
         # filled up.
         if self.raster.nodatavals[self.bands[0] - 1] is None:
-            has_data &= ~_blank(grey.data)
+            has_data &= ~_filled_up(grey.data)
         pixels[part_inside] = np.where(has_data, values.data, 0)
         is_known[part_inside] = has_data
         for excluded in self.excluded:
@@ -123,7 +123,10 @@ class GreyRaster:
         return pixels, is_known
 
     def known_at(self, positions: FloatArray) -> Mask:
-        """Return where there are data near places, (n, 2), looked up in a reduced raster."""
+        """Return which places (n, 2) [px] have data near them, as a reduced raster shows it.
+
+        False outside the raster.
+        """
         inside = np.all((positions >= 0) & (positions <= np.array(self.size) - 1), axis=1)
         if not inside.any():
             return np.asarray(inside)
@@ -141,8 +144,8 @@ class GreyRaster:
         return np.asarray(inside)
 
 
-def _blank(values: NDArray[Any]) -> Mask:
-    """Return where all bands are exactly 0 over a whole area, as images are filled up."""
+def _filled_up(values: NDArray[Any]) -> Mask:
+    """Return where all bands (c, lines, samples) are 0 over an area, as images are filled up."""
     zero = (values == 0).all(axis=0).astype(np.uint8)
     if not zero.any():
         return np.zeros(zero.shape, dtype=bool)
@@ -194,7 +197,7 @@ def open_picture(path: Path | str, band: int | None = None) -> Iterator[GreyRast
 
 
 def stretched(pixels: Grey, is_known: Mask) -> NDArray[np.uint8] | None:
-    """Return pixels as bytes from dark to bright; None if they have no texture."""
+    """Return pixels as bytes, dark to bright, 0 where unknown; None if they have no texture."""
     values = pixels[is_known]
     if values.size < _MIN_PIXELS:
         return None

@@ -71,7 +71,7 @@ class Start:
 
 
 def turned(plane: FloatArray, crs: str, to: str) -> FloatArray:
-    """Return plane coordinates, (..., 2), in another CRS."""
+    """Return plane coordinates (..., 2), x and y, of a CRS in another one."""
     from pyproj import CRS, Transformer
 
     # Heights stay as they are: only the plane is transformed.
@@ -138,6 +138,7 @@ def start_of(named: str | Path | None, image: Path) -> Start | None:
 
 
 def _start_by_rpc(path: Path) -> Start:
+    """Return the start that is the RPC of a file, at the middle of its heights."""
     rpc = read_rpc(path)
     middle = rpc.ground_offset[2]
     half = abs(rpc.ground_scale[2])
@@ -170,7 +171,10 @@ def start_by_points(features: FeatureSet, description: str) -> Start:
 
 
 def _start_by_own_position(image: Path) -> Start | None:
-    """Return the start by an image's own GCPs or geotransform, if it has any."""
+    """Return the start by an image's own GCPs or geotransform.
+
+    None without a CRS or enough of them.
+    """
     with open_raster(image) as raster:
         gcps, crs = raster.gcps
         if not gcps and raster.crs is not None and not raster.transform.is_identity:

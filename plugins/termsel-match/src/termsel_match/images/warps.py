@@ -212,7 +212,10 @@ class Reference:
 
 
 def _spacing(mesh: FloatArray) -> float:
-    """Return the distance of neighbours of a mesh, in the median."""
+    """Return the median distance of neighbours of a mesh (2, lines, samples).
+
+    Its step if none is known.
+    """
     steps = np.concatenate([np.linalg.norm(np.diff(mesh, axis=axis), axis=0).ravel()
                             # Steps along both axes of the mesh.
                             for axis in (1, 2)])
@@ -221,7 +224,10 @@ def _spacing(mesh: FloatArray) -> float:
 
 
 def _pixels(transform: Any, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Return line and sample, (n, 2), of coordinates; the first pixel's centre is (0, 0)."""
+    """Return line and sample (n, 2) of map coordinates x and y (n,).
+
+    (0, 0) is the first pixel's centre.
+    """
     with np.errstate(invalid="ignore", over="ignore"):
         column, row = ~transform @ (x, y)
     return np.stack([row, column], axis=1) - 0.5
@@ -316,7 +322,10 @@ def crs_of(picture: GreyRaster) -> str:
 
 def _require_overlap(reference: Reference, size: tuple[int, int],
                      dem: Path | str | None) -> None:
-    """Refuse an image of which the reference, or the DEM, shows nothing."""
+    """Raise NotShown if the reference shows nothing of an image.
+
+    Raise TermselError if the DEM covers none of it, or the start has no ground for it.
+    """
     at_reference = reference.seen(grid(size, (COVERS, COVERS)))
     is_finite = np.isfinite(at_reference).all(axis=1)
     if not is_finite.any():

@@ -44,7 +44,10 @@ class Along:
 
 
 def steady(selected: Selected) -> Fit:
-    """Return a model that goes nowhere beyond the candidates: of a smooth correction, the drift."""
+    """Return a model that stays near the candidates' beyond them.
+
+    The drift, for a smooth correction.
+    """
     correction = selected.correction
     if correction.model != "rpc-jitter":
         return selected.result.fit

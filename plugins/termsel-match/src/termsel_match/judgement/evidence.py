@@ -166,7 +166,8 @@ def unsupported(image: FloatArray, overlap: Mask, size: tuple[int, int]) -> tupl
 
 
 def part_of(position: FloatArray, size: tuple[int, int]) -> str:
-    """Return in words which ninth of an image a place is in."""
+    """Return in words which ninth of an image a place (line, sample) is in: "the upper left part".
+    """
     down, right = np.clip(3 * position / np.array(size), 0, 2).astype(int).tolist()
     words = [direction for direction in (("upper", "", "lower")[down], ("left", "", "right")[right])
              if direction]

@@ -90,5 +90,6 @@ def scale_of(residuals: np.ndarray, step: int) -> float:
 
 
 def _px(position: np.ndarray, step: int) -> list[int]:
-    """Return a place as OpenCV draws it: x, y in sixteenths of a pixel."""
+    """Return a place (line, sample) as OpenCV draws it: x and y in sixteenths of a reduced pixel.
+    """
     return [int(value) for value in np.round(((position[::-1] + 0.5) / step - 0.5) * 16)]

@@ -65,13 +65,16 @@ def repetition(picture: GreyRaster, positions: FloatArray) -> tuple[float, float
                                           for extent in extents.tolist()))
         if pixels.size == 0:
             continue
-        self_likeness = _alike(pixels.astype(np.float64), is_known.astype(np.float64))
+        self_likeness = _window_repetition(pixels.astype(np.float64), is_known.astype(np.float64))
         best = max(best, self_likeness, key=lambda candidate: candidate[1])
     return best
 
 
-def _alike(pixels: FloatArray, is_known: FloatArray) -> tuple[float, float]:
-    """Return the distance [px] and the correlation of `repetition`, of one window."""
+def _window_repetition(pixels: FloatArray, is_known: FloatArray) -> tuple[float, float]:
+    """Return the distance [px] at which a window is like itself, and the correlation there.
+
+    Both are 0 if too little of the window is known (see `repetition`).
+    """
     # Brightness over tens of pixels is no texture: it is divided out by the same blur of the mask.
     weight = cv2.GaussianBlur(is_known, (0, 0), _COARSE)
     coarse = cv2.GaussianBlur(pixels * is_known, (0, 0), _COARSE) / np.maximum(weight, 1e-6)

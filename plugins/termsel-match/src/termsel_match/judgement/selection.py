@@ -171,7 +171,7 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
             before = agrees
             errors = _errors(fit, points)
             agrees, limit = _agreeing(errors, ~independent, max_limit)
-            _require(agrees, roles, len(fit.terms) // 2 if choice else n_terms)
+            _require_enough(agrees, roles, len(fit.terms) // 2 if choice else n_terms)
             if np.array_equal(agrees, before):
                 break
             fit = fitted(correction, agrees)
@@ -187,9 +187,9 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
         correction = better
         fit = fitted(correction, near)
     agrees = _errors(fit, points) <= limit
-    _require(agrees, roles, len(fit.terms) // 2)
+    _require_enough(agrees, roles, len(fit.terms) // 2)
     agreeing = with_roles.with_(points=with_roles.points.take(agrees))
-    result = _told(termsel.run(
+    result = _with_note(termsel.run(
         "owdis-points", features=agreeing, model=correction.model, solver="all-terms",
         options={**correction.options, **_options_for_all_control(agreeing)}, seed=seed, out=folder,
         overwrite=plainer_than is not None), folder)
@@ -203,13 +203,13 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
 
 
 def _options_for_all_control(features: FeatureSet) -> dict[str, Any]:
-    """Return options by which all control is used: there is no better selection to prove."""
+    """Return options of a run that uses all control, so that no better selection is looked for."""
     control = features.points.take(np.array(features.points.roles, dtype=object) == "control")
     return {"min_features": len(features.with_(points=control)), "blunders": "keep"}
 
 
 def _require_control(roles: Any, n_terms: int) -> None:
-    """Require that enough candidates were drawn as control to search among them."""
+    """Raise TermselError unless enough candidates were drawn as control to search among them."""
     control = int((roles == "control").sum())
     if control < max(6, n_terms):
         raise TermselError(f"not enough candidates: {len(roles)} found, of which {control} can be "
@@ -218,8 +218,9 @@ def _require_control(roles: Any, n_terms: int) -> None:
                                 "that looks more like the image.")
 
 
-def _require(agrees: Mask, roles: Any, n_terms: int) -> None:
-    """Require that enough candidates agree for a fit and for its check."""
+def _require_enough(agrees: Mask, roles: Any, n_terms: int) -> None:
+    """Raise TermselError unless enough candidates agree for a fit of `n_terms` and for its check.
+    """
     control, check = (int((agrees & (roles == role)).sum()) for role in ("control", "check"))
     if control < max(6, n_terms) or check < _LEAST_CHECK:
         raise TermselError(f"not enough candidates agree: {control + check} of "
@@ -266,7 +267,7 @@ def with_lines(selected: Selected, lines: FeatureSet, *, seed: int = 1,
             f"{rms_with_lines:.2f} px from the model of both, and {rms_alone:.2f} px from that of "
             "the points",
             hint="Give vectors that agree with the reference, or match points alone.")
-    result = _told(termsel.run(
+    result = _with_note(termsel.run(
         "owdis-lines", features=with_both, model=model, solver="all-terms",
         options={**options, "mixed": True,
                  **_options_for_all_control(with_both)}, seed=seed, out=folder,
@@ -275,8 +276,11 @@ def with_lines(selected: Selected, lines: FeatureSet, *, seed: int = 1,
     return replace(selected, result=result)
 
 
-def _told(result: Result, folder: Path | str | None) -> Result:
-    """Return a result with the note on what its independent figures are of, also in its folder."""
+def _with_note(result: Result, folder: Path | str | None) -> Result:
+    """Return a result with the note on what its independent figures are of.
+
+    Rewrite its folder, too.
+    """
     noted = result.with_(notes=(*result.notes, AGREEING))
     if folder is not None:
         write_result(noted, Path(folder))
@@ -302,6 +306,7 @@ def _roles(points: Points, seed: int) -> Any:
 
 
 def _errors(fitted: Fit, points: Points) -> FloatArray:
+    """Return the distances (n,) [px] of points from a fit; infinite where it sees none."""
     errors = np.linalg.norm(points.image - fitted.project(points.ground), axis=1)
     return np.asarray(np.where(np.isfinite(errors), errors, np.inf))
 
@@ -335,7 +340,10 @@ def _rms_at_unused(fit: Fit, points: Points) -> float:
 
 
 def _agreeing(errors: FloatArray, used: Mask, max_limit: float) -> tuple[Mask, float]:
-    """Return which of the candidates in use agree, and the limit, by the spread of near ones."""
+    """Return which candidates in use agree, and the largest error [px] that counts as agreement.
+
+    The limit follows the spread of the near ones; it is `max_limit` px at most.
+    """
     # By the median of those that are near, which blunders hardly change.
     near = errors[used & (errors < NEAR_PX)]
     sigma = float(np.median(near)) / _RAYLEIGH_MEDIAN if len(near) else 0.0

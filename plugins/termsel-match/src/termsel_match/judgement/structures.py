@@ -35,13 +35,13 @@ class Correction:
     options: Mapping[str, Any]
 
     def fit(self, features: FeatureSet) -> Fit:
-        """Fit it to features, whatever their roles."""
+        """Return the fit of the correction to all features, whatever their roles."""
         used = replace(features.points, roles=())
         return termsel.fit(features.with_(points=used), self.model, **self.options)
 
     @property
     def text(self) -> str:
-        """What it is called."""
+        """Name of the model, with the number of intervals if it has some."""
         return self.model + (f" with {self.options['intervals']} intervals along the lines"
                              if "intervals" in self.options else "")
 
@@ -86,7 +86,7 @@ def called_for(several: list[Correction], features: FeatureSet, seed: int) -> Co
         return several[0]
     fold = np.random.default_rng([seed, 4]).permutation(len(features.points)) % _FOLDS
     errors_of = [(correction, squares) for correction in several
-                 if (squares := _held_out(correction, features, fold)) is not None]
+                 if (squares := _held_out_squares(correction, features, fold)) is not None]
     if not errors_of:
         return several[0]
     best = min((squares for _, squares in errors_of), key=np.mean)
@@ -96,9 +96,12 @@ def called_for(several: list[Correction], features: FeatureSet, seed: int) -> Co
                 if (squares - best).mean() <= (squares - best).std() / root)
 
 
-def _held_out(correction: Correction, features: FeatureSet, fold: NDArray[np.intp],
-              ) -> FloatArray | None:
-    """Return squared errors of points by fits without their fold; None where undetermined."""
+def _held_out_squares(correction: Correction, features: FeatureSet, fold: NDArray[np.intp],
+                      ) -> FloatArray | None:
+    """Return the squared errors [px2] of points (n,) by fits without their fold, capped.
+
+    `fold` (n,) has the number of each point's fold. None if a fit is undetermined.
+    """
     points = features.points
     squares = np.empty(len(fold))
     for number in range(_FOLDS):

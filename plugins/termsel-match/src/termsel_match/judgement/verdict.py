@@ -117,20 +117,25 @@ def evidence_of(candidates: Candidates, selected: Selected, heights: Heights,
     start = candidates.rough
     correction = None
     if start is not None:
-        correction = agree.image - start.project(_for_start(agree, candidates))
+        correction = agree.image - start.project(_ground_for_start(agree, candidates))
     return Evidence(
         sigma=float(sigma.max()), covered=_share_covered(agree.image, overlap, size),
         bare=unsupported(agree.image, overlap, size),
         structure=structure(points.image[near], residuals[near], 2 * selected.limit, size,
                             np.random.default_rng([seed, 2])),
         other_place=other_place(points.image[far], residuals[far], AGREEING_PX, size),
-        correction=correction, pixel=_pixel(agree, candidates.crs),
+        correction=correction, pixel=_pixel_size(agree, candidates.crs),
         along_lines=along(selected, agree, size[0]), repetition=repetition)
 
 
 def remarks(candidates: Candidates, selected: Selected, evidence: Evidence,
             accept: float) -> tuple[str, ...]:
-    """Return what a user must look at, though the map may be right."""
+    """Return sentences on what a user must look at, though the map may be right.
+
+    () if there is none.
+
+    `accept` is the largest acceptable error [px].
+    """
     notes = []
     if _matters(evidence, accept):
         common = evidence.structure
@@ -187,7 +192,10 @@ def remarks(candidates: Candidates, selected: Selected, evidence: Evidence,
 
 
 def reasons(selected: Selected, evidence: Evidence, accept: float) -> tuple[str, ...]:
-    """Return why a result is not good enough."""
+    """Return sentences on why a result is not good enough; () if it is.
+
+    `accept` is the largest acceptable error [px].
+    """
     refusals = []
     total = int(selected.independent.sum())
     agree = int(
@@ -332,8 +340,9 @@ def _vector(away: tuple[float, float]) -> str:
     return f"by ({away[0]:+.1f}, {away[1]:+.1f}) px in line and sample"
 
 
-def _for_start(points: Points, candidates: Candidates) -> FloatArray:
-    """Return ground places in the CRS of the start, with its height where theirs is unknown."""
+def _ground_for_start(points: Points, candidates: Candidates) -> FloatArray:
+    """Return ground places (n, 3) in the CRS of the start, at its height where theirs is unknown.
+    """
     assert candidates.rough is not None
     z = points.ground[:, 2]
     return np.column_stack([turned(points.ground[:, :2], candidates.crs, candidates.rough.crs),
@@ -341,14 +350,18 @@ def _for_start(points: Points, candidates: Candidates) -> FloatArray:
 
 
 def _share_covered(image: FloatArray, overlap: Mask, size: tuple[int, int]) -> float:
-    """Return the part of what image and reference show that is in the hull of points."""
+    """Return the share of the places in `overlap` that lie in the hull of image positions (n, 2).
+    """
     hull = shapely.convex_hull(shapely.MultiPoint(image))
     positions = grid(size, overlap.shape)[overlap.ravel()]
     return float(shapely.contains_xy(hull, positions[:, 0], positions[:, 1]).mean())
 
 
-def _pixel(points: Points, crs: str) -> float:
-    """Return the size of a pixel on the ground [m], by the areas of the hulls of points."""
+def _pixel_size(points: Points, crs: str) -> float:
+    """Return the size of a pixel on the ground [m], by the hulls of points.
+
+    NaN if that has no area.
+    """
     lonlat = np.radians(turned(points.ground[:, :2], crs, "EPSG:4326"))
     # Metres on a sphere about the middle: east is narrower by the cosine of the latitude.
     plane = _EARTH * (lonlat - lonlat.mean(axis=0)) * [np.cos(lonlat[:, 1].mean()), 1.0]

@@ -117,13 +117,16 @@ def match_lines(
 
 
 def without_start(image: Path) -> TermselError:
-    """Return what a user must do where there is no start."""
+    """Return the error that lines cannot be matched without a start, with what to give."""
     return TermselError("lines cannot be matched without a start", file=image,
                         hint="Give --start with an RPC, a result or points.")
 
 
 def _shorten_line(ends: FloatArray, k: int) -> FloatArray:
-    """Return two vertices of the same ground line, others for each band: they must differ."""
+    """Return two vertices (2, d) of the same ground line, other ones for each band k.
+
+    Candidates of one line must differ on the ground.
+    """
     # One part in a hundred for each further band, along the same line.
     share = np.array([[0.01 * k], [1 - 0.01 * k]])
     return np.asarray(ends[0] + share * (ends[1] - ends[0]))

@@ -118,7 +118,7 @@ def most_decisive(features: FeatureSet, model: str, options: Mapping[str, Any]) 
 
 
 def undetermined(lines: Lines) -> str:
-    """Return in words how well lines fix the image, across them and along."""
+    """Return sentences on how well lines fix the image, across them and along [px]."""
     (across_them, along_them), towards = _across_and_along(lines)
     if along_them < _WEAK_RATIO * across_them:
         return (f"The lines fix the position of the image in all directions: standard deviation "
@@ -133,7 +133,10 @@ def undetermined(lines: Lines) -> str:
 
 
 def _across_and_along(lines: Lines) -> tuple[tuple[float, float], float]:
-    """Return standard deviations across most lines and along [px], and where along is [deg]."""
+    """Return standard deviations [px] across most lines and along them, and the direction along.
+
+    The direction is from that of lines towards that of samples [deg]; along may be infinite.
+    """
     assert lines.sigma is not None
     run = lines.image[:, 1] - lines.image[:, 0]
     # A line says where the image is across it: information sum(n n^T / sigma^2) of all normals n.

@@ -96,7 +96,10 @@ class MatchedLines(Problem):
         self.genome = Genome([Subset("features", inputs.control.ids, picked)])
 
     def evaluate(self, genes: Any) -> Evaluation:
-        """Return the part of the pieces that does not agree."""
+        """Return the weighted share of pieces that do not agree, for genes (p, picked).
+
+        Least is best.
+        """
         away = self._distances(self._fit_lines(np.asarray(genes, dtype=np.intp)))
         # Of each piece the nearest candidate alone counts.
         nearest = np.minimum.reduceat(away[:, self._order], self._first, axis=1)
@@ -104,7 +107,10 @@ class MatchedLines(Problem):
         return Evaluation((disagreement @ self._weight)[:, None], np.zeros(len(disagreement)))
 
     def decode(self, genes: Any) -> Selection:
-        """Return the lines that agree."""
+        """Return all terms, and the lines that agree with the picked ones' model.
+
+        If these are too few for a fit, the picked lines themselves.
+        """
         coefficients = self.refined(self.fitted(np.asarray(genes, dtype=np.intp)))
         agreeing = self.agreeing(coefficients)
         picked = np.sort(agreeing) if len(agreeing) >= len(self._columns[0,
@@ -138,7 +144,11 @@ class MatchedLines(Problem):
 
     def agreeing(self, coefficients: FloatArray, times: FloatArray | None = None,
                  ) -> NDArray[np.intp]:
-        """Return the lines that agree with a model, as many times as their pieces count."""
+        """Return the numbers of the lines that agree with a model, the nearest of each piece.
+
+        `times` (pieces,) says how often each piece counts, such as in a bootstrap; once if it is
+        None.
+        """
         nearest, away = self._nearest(coefficients)
         # A piece that counts twice is there twice.
         if times is not None:

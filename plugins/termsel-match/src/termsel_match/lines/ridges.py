@@ -167,7 +167,11 @@ def _between_edges(profiles: FloatArray, offset: FloatArray, at: FloatArray, wid
 
 def _place_of_band(strip: FloatArray, offset: FloatArray, about: float, width: float, sign: float,
                    ) -> tuple[tuple[float, float], float] | None:
-    """Return where across a band is at either end, and the standard deviation; None if unclear."""
+    """Return where across a band is at its first and last row, and the standard deviation [px].
+
+    `strip` (rows, n) is the image along the band, `offset` (n,) the places across it, `about` where
+    the band is expected, `sign` 1 for bright bands and -1 for dark ones. None if it is unclear.
+    """
     # The place across is found in blocks along the band, and a straight line is fitted to them.
     count = max(_LEAST_BLOCKS, round(len(strip) / _BLOCK_LENGTH))
     blocks = np.array_split(np.arange(len(strip)), count)

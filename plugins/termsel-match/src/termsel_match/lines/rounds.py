@@ -211,7 +211,8 @@ def iterate_lines(
 
 def in_place(image: Path | str, vectors: Path | str, at: Start, *, dem: Path | str | None,
              search: float = _PROOF, band: int | None = None) -> NDArray[np.bool_]:
-    """Return for each piece whether its clearest band is within 3 px of where a model sees it."""
+    """Return whether the clearest band of each piece is within 3 px of where a model sees it, (n,).
+    """
     lines = match_lines(image, vectors, dem=dem, start=at, search=search, band=band).lines
     # Candidates of a piece are numbered from the clearest on.
     clearest = np.array([name.endswith(".1") for name in lines.ids])
@@ -219,6 +220,7 @@ def in_place(image: Path | str, vectors: Path | str, at: Start, *, dem: Path | s
 
 
 def _start(fitted: Fit, crs: str, lines: Lines) -> Start:
+    """Return the model of a round as the start of the next one, at the mean height of its lines."""
     return Start("the model of the last round", crs, float(np.nanmean(lines.ground[..., 2])),
                  fitted.project, fitted.locate)
 

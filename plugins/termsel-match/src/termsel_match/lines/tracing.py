@@ -90,7 +90,10 @@ def left_by_tracing(problem: MatchedLines, selected: Sequence[str], seed: int) -
 
 
 def _drawn_together(vector: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the number of what each piece is drawn with: its vector, or a stretch of it."""
+    """Return for each piece the number of the unit that a bootstrap draws it with, (n,).
+
+    A unit is a vector; where vectors are few, a stretch of one.
+    """
     count = int(vector.max()) + 1
     if count >= MIN_VECTORS:
         return vector

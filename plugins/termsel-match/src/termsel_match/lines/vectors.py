@@ -85,7 +85,7 @@ def pieces_of(path: Path | str, start: Start, dem: Path | str | None, size: tupl
         f"no straight piece of {SHORTEST:.0f} px of the vectors is in the image, by "
         f"{start.description}",
         file=path, hint="Give vectors of the same area.")
-    lines, vector_of = _dense(lines, _place(start, to_start, size), size)
+    lines, vector_of = _dense(lines, _mesh_of_image(start, to_start, size), size)
     if not lines:
         raise nowhere
     owner = np.repeat(np.arange(len(lines)), [len(line) for line in lines])
@@ -107,10 +107,10 @@ def pieces_of(path: Path | str, start: Start, dem: Path | str | None, size: tupl
         finite = np.flatnonzero((owner == i) & np.isfinite(at_image).all(axis=1))
         # Without the vertices that have no height the line is not one.
         for run in np.split(finite, np.flatnonzero(np.diff(finite) > 1) + 1):
-            for first, last in _straight(at_image[run]):
+            for first, last in _straight_pieces(at_image[run]):
                 of_image = at_image[run[[first, last]]]
                 of_ground = ground[run[[first, last]]]
-                for share in _shares(of_image, size):
+                for share in _shares_in_image(of_image, size):
                     vector.append(str(vector_of[i] + 1))
                     image.append(of_image[0] + share[:, None] * (of_image[1] - of_image[0]))
                     ends.append(of_ground[0] + share[:, None] * (of_ground[1] - of_ground[0]))
@@ -124,8 +124,9 @@ def pieces_of(path: Path | str, start: Start, dem: Path | str | None, size: tupl
                   measured[taken_pieces], crs)
 
 
-def _place(start: Start, to_start: Any, size: tuple[int, int]) -> FloatArray:
-    """Return where an image lies in the plane of the vectors: a mesh of places, (7, 7, 2)."""
+def _mesh_of_image(start: Start, to_start: Any, size: tuple[int, int]) -> FloatArray:
+    """Return where an image lies in the plane of the vectors: a mesh (7, 7, 2), NaN for no place.
+    """
     steps = (np.linspace(0, extent - 1, 7) for extent in size)
     image = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 2)
     ground = start.locate(image, start.height)
@@ -183,7 +184,10 @@ def read_vectors(path: Path) -> tuple[list[FloatArray], str]:
 
 
 def _spread_pieces(image: FloatArray, size: tuple[int, int]) -> NDArray[np.intp]:
-    """Return which pieces to take: of each cell and direction the longest, in turn."""
+    """Return the numbers of at most `MOST_PIECES` pieces, sorted: the longest of each cell first.
+
+    Pieces (n, 2, 2) are in lines and samples [px]; a cell is split by direction, too.
+    """
     run = image[:, 1] - image[:, 0]
     cell = np.clip(image.mean(axis=1) / size * _IMAGE_CELLS, 0, _IMAGE_CELLS - 1).astype(np.intp)
     # A direction has no sense: half a turn is the same one.
@@ -199,8 +203,11 @@ def _spread_pieces(image: FloatArray, size: tuple[int, int]) -> NDArray[np.intp]
     return np.sort(order[np.argsort(rank, kind="stable")[:MOST_PIECES]])
 
 
-def _straight(image: FloatArray) -> list[tuple[int, int]]:
-    """Return first and last vertex of the straight pieces of a polyline in the image."""
+def _straight_pieces(image: FloatArray) -> list[tuple[int, int]]:
+    """Return first and last vertex of the straight pieces of a polyline (n, 2) in the image [px].
+
+    [] if it has fewer than two vertices.
+    """
     if len(image) < 2:
         return []
     # Douglas and Peucker: what bends by less than half a pixel is straight.
@@ -214,8 +221,11 @@ def _straight(image: FloatArray) -> list[tuple[int, int]]:
     return list(pairwise(numbers))
 
 
-def _shares(image: FloatArray, size: tuple[int, int]) -> list[FloatArray]:
-    """Return the parts of a straight piece in the image, first and last share of each."""
+def _shares_in_image(image: FloatArray, size: tuple[int, int]) -> list[FloatArray]:
+    """Return the parts of a straight piece (2, 2) in the image, as first and last share of each.
+
+    [] if less than `SHORTEST` px of it is in the image.
+    """
     run = image[1] - image[0]
     length = float(np.linalg.norm(run))
     if length < SHORTEST:

@@ -65,13 +65,16 @@ class Matches:
     sigma: FloatArray | None = None
 
     def take(self, numbers: NDArray[np.intp]) -> Matches:
-        """Return some of them, by their numbers."""
+        """Return the matches of these numbers, in their order."""
         return Matches(self.first[numbers], self.second[numbers], self.score[numbers],
                        None if self.sigma is None else self.sigma[numbers])
 
 
 def fault(matcher: Matcher, value: Any, *_windows: Any) -> str | None:
-    """Return what is wrong with matches, if anything; far ones are only left out."""
+    """Return what is wrong with the value that a matcher returned, after "match()".
+
+    None if nothing is.
+    """
     if not isinstance(value, Matches):
         return f"returned {type(value).__name__}; expected Matches"
     # The number of rows, -1 where the array has none: then every shape below is wrong.

@@ -84,7 +84,7 @@ def distinct_places(window: Window) -> FloatArray:
 
 
 def inside(positions: FloatArray, is_known: Mask, reach: int) -> Mask:
-    """Return whether all pixels around places are known."""
+    """Return whether all pixels within `reach` px of places (n, 2) are known, (n,)."""
     width = 2 * reach + 1
     surroundings_known = cv2.erode(is_known.astype(np.uint8),
                                    np.ones((width, width), dtype=np.uint8), borderValue=0)
@@ -95,7 +95,10 @@ def inside(positions: FloatArray, is_known: Mask, reach: int) -> Mask:
 
 
 def peak(surface: FloatArray) -> tuple[FloatArray, float, float]:
-    """Return the place of the largest value from the middle [px], it, and the next largest."""
+    """Return the place of the largest value from the middle [px], that value, and the next largest.
+
+    The next largest is taken away from the first peak.
+    """
     top = np.array(np.unravel_index(int(surface.argmax()), surface.shape))
     best = float(surface[tuple(top)])
     # The next largest value away from the best shows how clear that one is.

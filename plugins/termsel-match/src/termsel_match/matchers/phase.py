@@ -76,6 +76,6 @@ class Phase(Matcher):
 
 
 def _centre_grey(window: Window) -> Grey:
-    """Return grey of which the mean is zero, and zero where it is unknown."""
+    """Return grey less its mean over known pixels, and 0 where it is unknown."""
     mean = window.pixels[window.known].mean() if window.known.any() else 0.0
     return np.where(window.known, window.pixels - mean, 0).astype(np.float32)

@@ -103,7 +103,10 @@ def refined(first: Layers, second: Layers, at_first: FloatArray, at_second: Floa
 
 
 def _inside(is_known: Mask, at: FloatArray, margin: int = 0) -> Mask:
-    """Return whether all pixels of windows are known."""
+    """Return whether all pixels of the window of each place (n, 2) are known, (n,).
+
+    `margin` [px] widens the windows.
+    """
     reach = _HALF + 1 + margin
     low = at.astype(np.intp) - reach
     high = at.astype(np.intp) + reach

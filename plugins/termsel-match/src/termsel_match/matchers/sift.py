@@ -47,7 +47,8 @@ class Sift(Matcher):
 
 
 def described(pixels: Grey, is_known: Mask) -> tuple[FloatArray, Grey]:
-    """Return keypoints, line and sample, shape (n, 2), and RootSIFT descriptors, (n, 128)."""
+    """Return keypoints (n, 2), line and sample, and RootSIFT descriptors (n, 128); n is 0 if none.
+    """
     picture = stretched(pixels, is_known)
     if picture is None:
         return np.empty((0, 2)), np.empty((0, 128), dtype=np.float32)

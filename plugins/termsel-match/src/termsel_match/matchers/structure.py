@@ -70,14 +70,17 @@ class Structure(Matcher):
                                      HALF_WINDOW + SHIFT_REACH)]
         if not len(positions):
             return nothing
-        moved, clear = _near(image_layers.values, reference_layers.values, positions, shift)
+        moved, clear = _offsets(image_layers.values, reference_layers.values, positions, shift)
         order = np.argsort(clear, kind="stable")
         return refined(image_layers, reference_layers, positions[order],
                        (positions + shift + moved)[order], _MIN_CORRELATION)
 
 
 def layers(window: Window) -> Layers | None:
-    """Return how strong edges of each direction are, with a mean of zero; None for no texture."""
+    """Return the strength of edges of each direction (k, lines, samples), with a mean of zero.
+
+    None if the window has no texture or too few known pixels.
+    """
     picture = stretched(window.pixels, window.known)
     if picture is None:
         return None
@@ -99,9 +102,12 @@ def layers(window: Window) -> Layers | None:
     return Layers(np.where(is_known, values, 0).astype(np.float32), is_known)
 
 
-def _near(image_layers: Grey, reference_layers: Grey, positions: FloatArray, shift: FloatArray,
-          ) -> tuple[FloatArray, FloatArray]:
-    """Return by how much places are off the shift, (n, 2) [px], and how unclear that is, (n,)."""
+def _offsets(image_layers: Grey, reference_layers: Grey, positions: FloatArray, shift: FloatArray,
+             ) -> tuple[FloatArray, FloatArray]:
+    """Return by how much places are off the common shift (n, 2) [px], and how unclear that is (n,).
+
+    Unclear is the second peak over the first: 0 is clear, 1 means two alike.
+    """
     # Squares of the second under each window, by which the correlation is normalised.
     energy = cv2.boxFilter((reference_layers**2).sum(axis=0), -1, (2 * HALF_WINDOW + 1,) * 2,
                            normalize=False)

@@ -167,7 +167,8 @@ def match_points(
         size = picture.size
     if len(points) < LEAST_CANDIDATES:
         raise TermselError(f"not enough candidates: {len(points)} found, at least "
-                           f"{LEAST_CANDIDATES} needed", file=image, hint=_why(cells, search, dem))
+                           f"{LEAST_CANDIDATES} needed", file=image,
+                           hint=_advice(cells, search, dem))
     if dem is None:
         log.info("Note: the heights are unknown. Give --dem FILE for RPCs and 3D models.")
     return Candidates(_calibrate_sigma(points, rough, crs), crs, size, dict(cells),
@@ -228,7 +229,7 @@ def _calibrate_sigma(points: Points, rough: Start, crs: str) -> Points:
 
 
 def _number_points(several: list[Points]) -> Points:
-    """Return all points, with numbers as their ids."""
+    """Return all points as one set, numbered M001 and on; a single set stays as it is."""
     if len(several) == 1:
         return several[0]
     count = sum(map(len, several))
@@ -241,7 +242,7 @@ def _number_points(several: list[Points]) -> Points:
 
 
 def _points(matches: Matches, reference: Reference) -> Points:
-    """Return matches as points, those with a height if there is a DEM."""
+    """Return matches as points with scores; with a DEM only those where it has a height."""
     assert matches.sigma is not None
     ground = reference.ground(matches.second)
     has_height = np.isfinite(ground[:, 2]) if callable(reference.map_heights) \
@@ -252,8 +253,8 @@ def _points(matches: Matches, reference: Reference) -> Points:
                   attributes={"score": scores})
 
 
-def _why(cells: Counter[str], search: float, dem: Path | str | None) -> str:
-    """Return what to do where there are too few candidates."""
+def _advice(cells: Counter[str], search: float, dem: Path | str | None) -> str:
+    """Return a sentence on why most cells have no candidates, and what to do."""
     total = sum(cells.values())
     # The reason that most cells have.
     worst = max((name for name in cells if name != FOUND), key=cells.__getitem__, default=UNLIKE)

@@ -123,7 +123,7 @@ def in_cells(picture: GreyRaster, reference: Reference, looking: Looking, area: 
 
 
 def joined(several: list[Matches]) -> Matches:
-    """Return all matches of several parts, which have standard deviations."""
+    """Return the matches of several parts as one; all have standard deviations. Empty for []."""
     none = np.empty((0, 2))
     first = np.concatenate([none, *(matches.first for matches in several)])
     second = np.concatenate([none, *(matches.second for matches in several)])
@@ -135,7 +135,10 @@ def joined(several: list[Matches]) -> Matches:
 
 def _windows(size: tuple[int, int], across: int, block: tuple[int, int], step: int,
              ) -> list[tuple[int, int, int, int]]:
-    """Return line, sample, lines and samples of the parts of a block to look at, in turn."""
+    """Return first line and sample, lines and samples [px] of the windows of a block, in turn.
+
+    `block` is its row and column of `across` in either direction; one window if it is small.
+    """
     low = [total * i // across for total, i in zip(size, block, strict=True)]
     extents = [total * (i + 1) // across - start
                for total, i, start in zip(size, block, low, strict=True)]
@@ -186,7 +189,7 @@ def _best_in_window(picture: GreyRaster, reference: Reference, looking: Looking,
     of_cells = []
     for number in product(range(inner), repeat=2):
         in_cell = np.flatnonzero(used & (cell == number).all(axis=1))[:_TRIED]
-        best = _apart(_place_matches(looking.matcher, matches, in_cell, first, second))
+        best = _best_apart(_place_matches(looking.matcher, matches, in_cell, first, second))
         if best.sigma is not None and len(best.score):
             # From reduced pixels of the window to pixels of the image, and to those of the
             # reference.
@@ -199,7 +202,8 @@ def _best_in_window(picture: GreyRaster, reference: Reference, looking: Looking,
 
 def _place_matches(matcher: Matcher, matches: Matches, numbers: NDArray[np.intp], first: Window,
                    second: Window) -> Matches:
-    """Return some matches with their standard deviations."""
+    """Return the matches of these numbers, refined to sub-pixel unless the matcher has done that.
+    """
     if matcher.places_exactly:
         return matches.take(numbers)
     return refined(Layers(first.pixels[None], first.known), Layers(second.pixels[None],
@@ -210,8 +214,8 @@ def _count(several: list[Matches]) -> int:
     return sum(len(matches.score) for matches in several)
 
 
-def _apart(matches: Matches) -> Matches:
-    """Return the matches with the best scores that are apart, at most those wanted in a cell."""
+def _best_apart(matches: Matches) -> Matches:
+    """Return the matches with the best scores that are apart in both images, at most `_EACH`."""
     best: list[int] = []
     # From the best on; a match too near to a better one says the same again.
     for i in np.argsort(-matches.score, kind="stable"):

@@ -85,7 +85,10 @@ def read_candidates(path: Path | str, image: Path | str, reference: Path | str |
 
 
 def _is_in_pixels(path: Path) -> bool:
-    """Return whether a file has pixels of two images, which only a reference turns into ground."""
+    """Return whether a file has pixels of two images, which only a reference turns into ground.
+
+    False if it cannot be read.
+    """
     try:
         require_regular(path)
         with path.open("rb") as file:
@@ -97,6 +100,7 @@ def _is_in_pixels(path: Path) -> bool:
 
 
 def _as_candidates(points: Points) -> Points:
-    """Return points of which those for control and check are candidates like any other."""
+    """Return points without roles but that of independent ones, so that all others are candidates.
+    """
     return replace(points, roles=tuple(role if role == "independent" else ""
                                        for role in points.roles))

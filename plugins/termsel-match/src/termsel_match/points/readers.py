@@ -104,7 +104,11 @@ class MatchesCsv(Reader):
 
 def with_ground(path: Path, ids: Sequence[str], image: FloatArray, at: FloatArray,
                  reference: str, sigma: FloatArray | None) -> FeatureSet:
-    """Return points whose ground coordinates are those of pixels of a reference."""
+    """Return points whose ground coordinates are those of pixels of a reference raster.
+
+    `image` and `at` (n, 2) are line and sample in the image and in the reference; a match that
+    comes twice is taken once. Raises TermselError without a reference or matches.
+    """
     if not reference:
         raise TermselError(NEEDS_REFERENCE, file=path,
                            hint="Give it with --set reference=ORTHO.tif. If the second places are "
@@ -126,7 +130,7 @@ def with_ground(path: Path, ids: Sequence[str], image: FloatArray, at: FloatArra
 
 
 def text_of(path: Path) -> str:
-    """Return the text of a file in UTF-8."""
+    """Return the text of a file; raises TermselError if it cannot be read or is not UTF-8."""
     try:
         return bytes_of(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -135,7 +139,7 @@ def text_of(path: Path) -> str:
 
 
 def bytes_of(path: Path) -> bytes:
-    """Return the content of a file."""
+    """Return the content of a file; raises TermselError if it cannot be read."""
     try:
         return read_data(path)
     except OSError as error:
@@ -144,13 +148,18 @@ def bytes_of(path: Path) -> bytes:
 
 
 def _header(head: bytes) -> list[str]:
+    """Return the column names in the first line of a table that is not blank.
+
+    [""] if there is none.
+    """
     text = head.decode("utf-8-sig", errors="replace")
     first = next((line for line in text.splitlines() if line.strip()), "")
     return [cell.strip().strip('"') for cell in first.split(",")]
 
 
 def _rows(path: Path, columns: Sequence[str]) -> Iterator[tuple[int, dict[str, str]]]:
-    """Yield the number and the cells of each row of a table that has the columns needed."""
+    """Yield line number and cells by name of each row; raises TermselError if a column is missing.
+    """
     reader = csv.DictReader(text_of(path).splitlines(), skipinitialspace=True)
     try:
         names = [name.strip() for name in reader.fieldnames or []]
@@ -168,7 +177,10 @@ def _rows(path: Path, columns: Sequence[str]) -> Iterator[tuple[int, dict[str, s
 
 
 def _number(cells: dict[str, str], name: str, path: Path, line: int) -> float:
-    """Return the number of a cell; errors name file, line and column."""
+    """Return the finite number in a cell.
+
+    Raises TermselError with file, line and column if it is none.
+    """
     text = (cells[name] or "").strip()
     try:
         value = float(text)

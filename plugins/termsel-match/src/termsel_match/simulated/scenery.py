@@ -137,7 +137,7 @@ def _draw(image: Bytes, shapes: list[FloatArray], cell: float, value: int, *,
 
 
 def _texture(rng: np.random.Generator, n: int, cell: float) -> NDArray[np.float32]:
-    """Return brightness of all wavelengths with the mean 0."""
+    """Return brightness (n, n) of all wavelengths, with the mean 0."""
     total = np.zeros((n, n), dtype=np.float32)
     wave_texture = np.empty((n, n), dtype=np.float32)
     for wave in _WAVES:
@@ -151,7 +151,7 @@ def _texture(rng: np.random.Generator, n: int, cell: float) -> NDArray[np.float3
 
 def _parcels(rng: np.random.Generator, extent: float, cell: float, n: int,
              ) -> tuple[NDArray[np.uint16], int]:
-    """Return which parcel each cell is in, and how many there are."""
+    """Return the number of the parcel of each cell (n, n), and how many parcels there are."""
     across = max(3, round(extent / PARCEL)) + 2
     grid = np.stack(np.meshgrid(*(np.arange(-1, across - 1),) * 2), axis=-1).reshape(-1, 2)
     seeds = (grid + rng.uniform(0.1, 0.9, grid.shape)) * extent / (across - 2)

@@ -182,7 +182,7 @@ class World:
 
     def image(self) -> NDArray[np.uint16]:
         """Return the image: 11 bits, by rays that meet houses and terrain."""
-        day = self._lit(0)
+        day = self._brightness(0)
         low = float(self.heights.min()) - 1
         high = float(self.heights.max()) + _TALLEST + 1
         at_low = self._rays(low)
@@ -190,9 +190,9 @@ class World:
         rows = []
         for top in range(0, self.size, _RENDERED_LINES):
             lines = np.arange(top, min(top + _RENDERED_LINES, self.size), dtype=np.float64)
-            start, end = (_between(mesh, lines, self.size) for mesh in (at_low, at_high))
+            start, end = (_all_rays(mesh, lines, self.size) for mesh in (at_low, at_high))
             # A ray is straight between the lowest ground and the tallest roof.
-            cells = self._met(start, (end - start) / (high - low), low)
+            cells = self._cells_met(start, (end - start) / (high - low), low)
             rows.append(cv2.remap(day, *cells, cv2.INTER_LINEAR))
         bright = np.concatenate(rows).astype(np.float32)
         noise = self._rng(4).standard_normal(bright.shape, dtype=np.float32) * _NOISE
@@ -200,7 +200,7 @@ class World:
 
     def ortho(self) -> Bytes:
         """Return the orthoimage of the other day, of the whole square, 8 bits."""
-        bright = self._lit(1).astype(np.float32)
+        bright = self._brightness(1).astype(np.float32)
         n = len(bright) // _CELLS_PER_PIXEL
         mean = cv2.resize(bright[:n * _CELLS_PER_PIXEL, :n * _CELLS_PER_PIXEL], (n, n),
                           interpolation=cv2.INTER_AREA)
@@ -245,8 +245,9 @@ class World:
             mapped.append(self.corner + vertices * [1, -1])
         return mapped
 
-    def _lit(self, day: int) -> Bytes:
-        """Return the brightness of a day, lit by its sun and as the optics see it."""
+    def _brightness(self, day: int) -> Bytes:
+        """Return the brightness on a day (0 or 1), lit by its sun and blurred as the optics see it.
+        """
         bright = self.ground.days[day]
         south, east = np.gradient(self.heights, _TERRAIN)
         slope = (-0.7, 0.5) if day == 0 else (0.6, 0.4)
@@ -272,8 +273,8 @@ class World:
         return ((np.asarray(east) - self.corner[0]).reshape(shape),
                 (self.corner[1] - np.asarray(north)).reshape(shape))
 
-    def _met(self, start: FloatArray, rise: FloatArray, low: float,
-             ) -> list[NDArray[np.float32]]:
+    def _cells_met(self, start: FloatArray, rise: FloatArray, low: float,
+                   ) -> list[NDArray[np.float32]]:
         """Return the columns and rows of the cells where rays meet houses or terrain.
 
         Rays are straight between `low` and the top: start + rise (height - low), (2, rows, n).
@@ -302,6 +303,7 @@ class World:
 
     def _cells(self, metres: FloatArray,
                ) -> list[NDArray[np.float32]]:
+        """Return east and south of the corner [m] as columns and rows of cells."""
         return [(axis / self.cell - 0.5).astype(np.float32) for axis in metres]
 
 
@@ -309,7 +311,7 @@ def _mesh(size: int) -> FloatArray:
     return np.arange(-2, -(-size // _RAY_MESH) + 3, dtype=np.float64) * _RAY_MESH
 
 
-def _between(mesh: tuple[FloatArray, FloatArray], lines: FloatArray, size: int) -> FloatArray:
+def _all_rays(mesh: tuple[FloatArray, FloatArray], lines: FloatArray, size: int) -> FloatArray:
     """Return a mesh of rays interpolated at all samples of lines, shape (2, lines, samples)."""
     steps = _mesh(size)
     samples = np.arange(size)

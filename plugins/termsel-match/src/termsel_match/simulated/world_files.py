@@ -74,6 +74,7 @@ def _write_raster(path: Path, pixels: np.ndarray[Any, Any], **profile: Any) -> N
 
 
 def _write_roads(path: Path, roads: list[np.ndarray[Any, Any]]) -> None:
+    """Write roads, vertices (n, 2) each, as a layer of named lines."""
     from pyogrio.raw import write
 
     names = np.array([f"road {i + 1}" for i in range(len(roads))], dtype=object)

@@ -83,7 +83,7 @@ class MatchedTies:
         write_text(Path(path), csv_table([("id", "image", "line", "sample"), *rows]))
 
     def text(self) -> str:
-        """Return a table of the pairs."""
+        """Return a table of the pairs of images, with the number of ties, as text."""
         names = [pair.first for pair in self.pairs] + [pair.second for pair in self.pairs]
         wide = max(map(len, names))
         lines = [f"{'image':{wide}}  {'image':{wide}}  matches  ties"]
@@ -156,10 +156,10 @@ def match_ties(
                           search, count, until,
                           tell)
         with open_masked(paths[i], band, masks) as picture, \
-                _seen_by(paths[j], starts[j], starts[i], dem, band, masks) as seen_image:
+                _open_reference(paths[j], starts[j], starts[i], dem, band, masks) as seen_image:
             in_second = seen_image.seen(grid(picture.size, (COVERS, COVERS)))
             any_overlap |= bool(np.isfinite(in_second).any())
-            if not _overlap(seen_image, in_second):
+            if not _overlaps(seen_image, in_second):
                 pairs.append(PairOfImages(names[i], names[j], 0, 0))
                 continue
             matches = in_cells(picture, seen_image, looking)[0]
@@ -190,6 +190,7 @@ def match_ties(
 
 
 def _start(path: Path) -> Start:
+    """Return the start of a raw image by its RPC; raises TermselError if it has none."""
     start = start_of(None, path)
     if start is None:
         raise TermselError("this image has no RPC, so it is not known where it looks", file=path,
@@ -199,15 +200,16 @@ def _start(path: Path) -> Start:
 
 
 @contextmanager
-def _seen_by(path: Path, own_start: Start, start: Start, dem: Path | str, band: int | None,
-             masks: Sequence[Path | str]) -> Iterator[RawReference]:
-    """Open an image as another one, of a start, sees it."""
+def _open_reference(path: Path, own_start: Start, start: Start, dem: Path | str, band: int | None,
+                    masks: Sequence[Path | str]) -> Iterator[RawReference]:
+    """Open an image as the reference of another one, whose start is `start`."""
     with open_masked(path, band, masks) as picture, open_dem(Path(dem), start.crs) as heights:
         yield RawReference(picture, own_start.crs, start, heights, own_start.height, to_map=None,
                            own_start=own_start)
 
 
-def _overlap(seen_image: RawReference, positions: FloatArray) -> bool:
+def _overlaps(seen_image: RawReference, positions: FloatArray) -> bool:
+    """Return whether any of the positions (n, 2) lies in an image; NaN is no position."""
     last = np.array(seen_image.picture.size) - 1
     # Comparisons with nan are false: what has no position is not inside.
     with np.errstate(invalid="ignore"):
