@@ -62,7 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def check(path: str | Path) -> tuple[list[str], int]:
-    """Return what a certificate proves, in lines, and the number of selections it leaves open.
+    """Return what a certificate proves, in lines, and how many selections stay open.
 
     Raises Refused for a file that is no certificate, was changed, or has a step that does not hold.
     """
@@ -132,7 +132,7 @@ def _checked(content: Any) -> tuple[list[str], int]:
 
 
 def _theorem(content: dict[str, Any], axes: Sequence[Axis]) -> list[str]:
-    """Return what is claimed: of which data, columns and selections, and with which limits."""
+    """Return the claim in lines: its data, columns and selections, and its limits."""
     stated = content.get("data")
     if stated is not None and not (type(stated) is str and stated.isalnum() and len(stated) == 64):
         raise ValueError("a checksum of data")

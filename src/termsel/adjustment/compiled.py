@@ -46,7 +46,7 @@ class LazyKernel:
 
 
 def compiled(function: _Function, **flags: Any) -> _Function:
-    """Compile on first call and keep the machine code on disk, where there is a place for it.
+    """Compile on first call, and keep the machine code on disk if a folder allows it.
 
     Flags are those of `numba.njit`. The first call raises TermselError where numba is to compile
     nothing.

@@ -152,7 +152,7 @@ def _gather(
     panels: FloatArray, source: FloatArray, rows: UintArray, columns: UintArray,
     heights: IntArray, n: int,
 ) -> None:
-    """Copy n columns and the right-hand side after them into the panels, as far as they go."""
+    """Copy n columns and the right-hand side after them into the panels, to their heights."""
     for c in range(n // LANES + 1):
         panel_columns = columns[LANES * c:LANES * c + LANES]
         reach = min(len(rows), heights[min(LANES * c + LANES, n) - 1])

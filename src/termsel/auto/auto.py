@@ -138,12 +138,12 @@ class Auto(Method):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences on the methods that are left out, with what their authors must know."""
+        """Sentences on the methods that are left out, with the reason for their authors."""
         return tuple(f"Left out of the choice: {fault.what}. {fault.hint or HINT}"
                      for fault in self.faults.values())
 
     def ask(self, method: Method, hook: str, *args: Any) -> Any:
-        """Return what a hook of a method returns.
+        """Return the value of a method's hook.
 
         None where the features do not determine the method, and where it fails: then it is left out
         from now on, unless it is termsel's own.
@@ -199,7 +199,7 @@ class Auto(Method):
         return len(all_features) if len(data.features.lines) else len(all_features.points)
 
     def suspects(self, data: FitData) -> Suspects | None:
-        """Return the features that contradict what the first method that shows knows; else None."""
+        """Return the features that contradict the first method that knows of any; None without."""
         answers = (self.ask(method, "suspects", data) for method in self.offered(data))
         return next((suspects for suspects in answers if suspects is not None), None)
 
@@ -557,7 +557,7 @@ def minimal_fit(data: FitData) -> Choice:
 
 
 def minimal_view(data: FitData, choice: Choice, auto: Auto) -> Choice:
-    """Return the projection that four points determine, where nothing else fits.
+    """Return the projection that four points determine, where no other model fits.
 
     An affine transformation of four points leaves what a map or a vertical photo may leave; where
     it leaves more, and no point would be behind the camera, they show an oblique view. It is that

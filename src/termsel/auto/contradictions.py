@@ -173,7 +173,7 @@ class Division:
         return prediction.test() if prediction else None
 
     def test_by_projection(self, projection: Method) -> Test | None:
-        """Return what a central projection of the points in use predicts.
+        """Return the test by a central projection of the points in use.
 
         With the leverage h of a point in use and its residual r, the others predict it with the
         error r / (1 - h) and the variance s^2 / (1 - h), s^2 being the noise that they leave. None

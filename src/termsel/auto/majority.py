@@ -315,7 +315,7 @@ def _points_agreeing_with(design: FloatArray, image: FloatArray,
 
 def _noise_and_strains(design: FloatArray, image: FloatArray, used: BoolArray) -> tuple[float,
                                                                                         FloatArray]:
-    """Return the noise of the closest points, and errors (n,) by what agreeing points have.
+    """Return the noise of the closest points, and errors (n,) by those of agreeing points.
 
     Of normal vectors of the plane, the part g that is shortest has 1 + (1 - g) ln(1 - g) / g of the
     mean square. A point that is not used has the variance of its prediction, too, and few points

@@ -57,7 +57,7 @@ class Memory:
 
     def recall(self, question: Hashable, data: FitData, find: Callable[[], _T],
                faults: Callable[[], int] = lambda: 0) -> _T:
-        """Return what was found of equal features, or find it.
+        """Return the earlier value for equal features, or find it.
 
         `question` says what of, and by which methods. Nothing is kept where finding it raised the
         number of `faults`, as it may not the next time.
@@ -103,7 +103,7 @@ class Memory:
         return fitted
 
     def _checksum(self, data: FitData) -> bytes | None:
-        """Return what equal features have in common; None of what a package made of an RPC."""
+        """Return a checksum that equal features share; None if they cannot be pickled."""
         latest = self._latest.get("data")
         # Each method asks about the same features.
         if latest is not None and latest[0] is data:

@@ -76,7 +76,7 @@ class Structure(Method):
                 else f"{self.title} is for features without heights")
 
     def tried(self, data: FitData) -> bool:
-        """Return False where least squares of all terms leave no redundancy: nothing tells then."""
+        """Return whether errors of features held out are known: not of exact least squares."""
         model = self.model(data.heights)
         # A point has two equations, and so has a line.
         return model is None or not isinstance(self.estimator, LeastSquares) \

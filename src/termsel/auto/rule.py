@@ -195,7 +195,7 @@ def contained(method: Method, fits: Iterable[Fit]) -> bool:
 
 
 def best_of(fits: Iterable[Fit], describe: Describe = lambda _: None) -> Choice | None:
-    """Return the choice among methods; None if there is none.
+    """Return the choice among methods; None without any.
 
     Of methods with a prior, the first is to be beaten by the others by PRIOR_MARGIN standard
     errors; what none of them contains by CLEAR_MARGIN, a central projection by PROJECTION_MARGIN,

@@ -84,7 +84,7 @@ def new_plugin(name: str, kind: str, parent: Path) -> None:
 
 
 def package(name: str, *kinds: str) -> dict[str, str]:
-    """Return the files of a new package, by their path in it; refuse a name that cannot be.
+    """Return the files of a new package, by their path in it.
 
     Of several kinds each has a module and a name of its own, such as demo-model.
     """

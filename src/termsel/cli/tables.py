@@ -39,7 +39,7 @@ def _draw(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
 
 
 def json_text(value: Any) -> str:
-    """Return a value as JSON with a line end, in ASCII where it has what no terminal may get."""
+    """Return a value as JSON with a line end; in ASCII if a terminal cannot show its text."""
     text = json.dumps(value, indent=2, ensure_ascii=False)
     # Characters that would control a terminal are escaped as JSON has it, not as Python does.
     is_printable = printable(text) == text

@@ -21,7 +21,8 @@ _LOST = re.compile(r"(?:Directory|File|Path) '(.*)' does not exist", re.DOTALL)
 
 
 def usage_message(error: click.ClickException) -> str:
-    """Return what is wrong with a command line, what to type instead, and where all options are."""
+    """Return the fault of a command line, what to type instead, and where the options are listed.
+    """
     path = error.ctx.command_path if isinstance(error, click.UsageError) and error.ctx else ""
     if isinstance(error, click.MissingParameter):
         lines = _missing(error)
@@ -38,7 +39,7 @@ def usage_message(error: click.ClickException) -> str:
 
 
 def _missing(error: click.MissingParameter) -> list[str]:
-    """Return which option or argument is missing, what it is, and an example of the command."""
+    """Return lines on a missing option or argument, with an example of the command."""
     param = error.param
     if param is None or error.ctx is None:
         return [error.format_message()]
@@ -75,7 +76,7 @@ def _no_such_option(error: click.NoSuchOption) -> str:
 
 
 def _options_of_set() -> set[str]:
-    """Return the names of all options of ``--set``: of data, searches, and what is installed."""
+    """Return the names of all options of ``--set``: of data, searches and installed things."""
     from termsel.plugins.registry import registry
     from termsel.runs.request import DATA_OPTIONS
     from termsel.selection.solvers.budget import SEARCH_OPTIONS
@@ -111,7 +112,7 @@ def _values_missing(option: click.Option) -> str:
 
 
 def _option_of(ctx: click.Context | None, name: str) -> click.Option | None:
-    """Return the option of a command that has a name, such as ``--size``."""
+    """Return the option of a command that has a name, such as ``--size``; None if none has."""
     for param in ctx.command.get_params(ctx) if ctx is not None else ():
         if isinstance(param, click.Option) and name in (*param.opts, *param.secondary_opts):
             return param
@@ -170,7 +171,7 @@ def _range(kind: click.IntRange | click.FloatRange) -> str:
 
 
 def _extra_words(error: click.ClickException) -> str:
-    """Return the message for words that a command does not take, or as it is."""
+    """Return the message for words that a command does not take; other errors as they are."""
     extra = _EXTRA.match(error.message)
     ctx = error.ctx if isinstance(error, click.UsageError) else None
     if extra is None or ctx is None:

@@ -182,7 +182,7 @@ def counted(number: int, noun: str) -> str:
 
 
 def amount(number: int, noun: str = "") -> str:
-    """Return a number with commas, and its noun if any; above 15 digits in short, as 1.2e37."""
+    """Return a number with commas, and its noun; above 15 digits in short, as 1.2e37."""
     short = f"{number:,}" if number < 10**15 else f"{number:.1e}".replace("e+", "e")
     ending = "" if number == 1 else "s"
     return f"{short} {noun}{ending}" if noun else short

@@ -72,7 +72,7 @@ def _interrupt(_number: int, _frame: FrameType | None) -> None:
 
 
 def _not_raised(unraisable: sys.UnraisableHookArgs) -> None:
-    """Print what Python cannot raise, but for an interrupt, which comes again."""
+    """Print an error that Python cannot raise, except an interrupt, which comes again."""
     if unraisable.exc_type is not KeyboardInterrupt:
         sys.__unraisablehook__(unraisable)
 

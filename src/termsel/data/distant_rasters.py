@@ -100,7 +100,7 @@ class DistantRaster:
 
 
 def with_dataset(raster: Any, work: Callable[..., Answer], *values: Any) -> Answer:
-    """Return what a function makes of the dataset itself and further values, where it is open.
+    """Return the value of a function of the dataset and further values, called where it is open.
 
     Parameters
     ----------

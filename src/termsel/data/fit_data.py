@@ -105,7 +105,7 @@ def heights_differ(control: FitData) -> bool:
 
 
 def carriers(control: FitData, limit: int = 2) -> tuple[str, ...]:
-    """Return the ids of one or two features without which heights show nothing; or none.
+    """Return the ids of the one or two features that make all relief; () if more do.
 
     All ids where they show nothing already. Heights are known. `limit`, 1 or 2, is how many are
     looked for; of fewer than `RELIEF_FEATURES` one.
@@ -150,7 +150,7 @@ def _view_confirms_heights(control: FitData, noise: float) -> bool:
 
 
 def off_plane(control: FitData, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return how far places (m, 3) are off the plane of the control's heights, and what that does.
+    """Return how far places (m, 3) are off the plane of the control's heights, and the effect.
 
     In units of height, and the standard deviation of what it does to the image [px], each (m,). 0
     where a height is not known, where those of the control are not, and where they show what a

@@ -248,7 +248,7 @@ class Observations:
 
     @cached_property
     def carriers(self) -> tuple[str, ...]:
-        """One or two features of `together` without which all heights lie on a plane, if any."""
+        """One or two features of `together` without which all heights lie on a plane; else ()."""
         return carriers(self.joint) if self.joint.heights else ()
 
     @cached_property

@@ -28,7 +28,7 @@ class Measurements:
 
     @classmethod
     def of(cls, points: Points) -> Measurements:
-        """Return what was measured of points."""
+        """Return the measurements of points alone, without ids and roles."""
         return cls(points.image.tobytes(), points.ground.tobytes(),
                    None if points.sigma is None else points.sigma.tobytes())
 
@@ -173,7 +173,7 @@ def view_of(points: Points) -> CentralView | None:
 
 @lru_cache(maxsize=16)
 def _view_of(measurements: Measurements) -> CentralView | None:
-    """Return the same; equal points are asked for many times, whatever else is known of them."""
+    """Return the view of points, None without one; cached, as equal points ask many times."""
     points = measurements.points
     if len(points) > MAX_VIEW_POINTS:
         even = np.linspace(0, len(points) - 1, MAX_VIEW_POINTS).astype(int)
@@ -196,7 +196,7 @@ def _columns(ground: FloatArray, size: int) -> FloatArray:
 
 
 def _affine(columns: FloatArray, image: FloatArray) -> float | None:
-    """Return the standard deviation of what an affine transformation leaves."""
+    """Return the standard deviation about an affine transformation; None without redundancy."""
     # Observations less parameters.
     freedom = image.size - 2 * columns.shape[1]
     if freedom <= 0:

@@ -35,7 +35,7 @@ def outside(control: FloatArray, ground: FloatArray) -> FloatArray:
 
 def by_heights(used: FeatureSet, scaling: Scaling, project: Callable[[FloatArray], FloatArray],
                ground: FloatArray) -> FloatArray:
-    """Return the variance of what a height does at places (m, 3) where nothing shows, (m, 1) [px].
+    """Return the variance of unknown effects of heights at places (m, 3), (m, 1) [px].
 
     0 where the control in use shows it, and where the model, which projects places, knows it.
     """

@@ -98,7 +98,7 @@ def baseline(name: str, fitted: Fit, predicted: float | None, observations: Obse
 
 
 def in_role(fitted: Fit, observations: Observations) -> Fit:
-    """Return a fit whose control figures are of the control alone, whatever it was fitted to.
+    """Return a fit whose control figures are of the control alone, not of check points too.
 
     It cannot be repeated without a feature, as it does not know all that it was fitted to. Lines
     that it was not fitted to are on offer, and not used.

@@ -549,7 +549,7 @@ class Fit(Glance):
 
     @property
     def uncertainty_caveat(self) -> str:
-        """What the control does not show of its own noise, as a sentence; "" where it shows it.
+        """A sentence on noise that the control does not show; "" where it shows it.
 
         Few residuals of unknown noise are noise or local deformation, and `sigma` is a mean of
         both.

@@ -278,7 +278,7 @@ class Misfit:
 
 def misfit_of(image: FloatArray, residuals: FloatArray, noise: NoisePrior,
               effective: float | None) -> Misfit | None:
-    """Return what a model does not fit, from the residuals of its control (n, 2); None if few.
+    """Return the model's own error, from the residuals of its control (n, 2); None of few.
 
     The image (n, 2) is where the model sees the control, all scaled; `effective` are the parameters
     of both axes together, None where the residuals are not less for them.

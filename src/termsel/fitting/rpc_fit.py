@@ -60,7 +60,7 @@ class RpcFit:
 
 
 def rpc_of(fitted: Fit, heights: tuple[float, float] | None = None) -> RpcFit:
-    """Return the RPC of a fitted model, and what it loses.
+    """Return the RPC of a fitted model, and its deviation from the model.
 
     Parameters
     ----------

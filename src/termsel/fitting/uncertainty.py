@@ -107,7 +107,7 @@ class Experience:
 
 def spread_of(model: SensorModel, control: FeatureSet, terms: BoolArray, adjustment: Adjustment,
               ground: FloatArray, image: FloatArray, *, least_squares: bool) -> Spread:
-    """Return the mean square errors of what a fit predicts; NaN where there is no redundancy.
+    """Return the mean square errors of a fit's predictions; NaN without redundancy.
 
     All is scaled: the prepared model, the features in use, ground (m, 3) and the image that the fit
     predicts there (m, 2). `least_squares` says whether the coefficients are its own.

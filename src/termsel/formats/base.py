@@ -312,7 +312,7 @@ def read_data(path: Path) -> bytes:
 
 
 def parse_json(text: str, hint: str) -> Any:
-    """Return what a text in JSON holds; `hint` says what to do where that is not possible.
+    """Return the value of a text in JSON; `hint` is shown if it is not JSON.
 
     Refused, with the line, is also what is nested too deeply or has numbers of too many digits.
     """

@@ -120,7 +120,7 @@ def has_rpc(image: Path | str) -> bool:
 
 
 def delivered_rpc(image: Path | str) -> Rpc | None:
-    """Return the RPC that an image came with, inside it or next to it; None if there is none.
+    """Return the RPC that an image came with, inside it or next to it; None without one.
 
     One that termsel fitted to control points, and that was exported next to the image, is none: its
     own points would seem to test it. Of that the user is told.
@@ -312,7 +312,7 @@ def _entries(text: str) -> Iterator[tuple[str, str, int]]:
 
 
 def from_items(items: Mapping[str, str]) -> Rpc:
-    """Return the RPC of what GDAL calls the RPC domain, of items such as LINE_OFF.
+    """Return the RPC of items of GDAL's RPC domain, such as LINE_OFF.
 
     Coefficients are in LINE_NUM_COEFF with 20 numbers or in LINE_NUM_COEFF_1 and so on. Units after
     numbers are ignored. Raises TermselError for items that are missing or not numbers.

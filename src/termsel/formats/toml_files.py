@@ -34,7 +34,7 @@ _INTEGER_LIMIT = 2**63
 
 
 def read_toml(file: Path, kind: str, hint: str) -> tuple[dict[str, Any], str]:
-    """Return what a file in TOML holds, and its text.
+    """Return the table of a file in TOML, and its text.
 
     Refused is what is not TOML, with line and column, and what no program can make use of: keys or
     values that are nested without end, numbers of more than 64 bits, text with a NUL character.

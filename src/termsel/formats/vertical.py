@@ -124,7 +124,7 @@ def _require_database(path: Path) -> None:
 
 
 def to_datum_of(crs: str, raster_crs: CRS, path: Path) -> Heights | None:
-    """Return what converts heights [m] of a raster's CRS to those of a CRS; None if nothing must.
+    """Return a function from heights [m] of a raster's CRS to those of a CRS; None if alike.
 
     A CRS that states no vertical datum has ellipsoidal heights. Raises TermselError where PROJ
     lacks the grid of a geoid.

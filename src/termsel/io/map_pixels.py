@@ -106,7 +106,7 @@ class MapPixels:
 
 
 def map_pixels(picture: Picture, resampling: str | None, nodata: float | None) -> MapPixels:
-    """Return what the pixels of a map of a picture are made of.
+    """Return how the pixels of a map are made from those of a picture.
 
     Parameters
     ----------

@@ -36,7 +36,7 @@ def project_table(
     height: float | None = None,
     columns: str = "",
 ) -> tuple[str, list[str]]:
-    """Return a table of points with image and ground coordinates as CSV, and what to warn of.
+    """Return points with image and ground coordinates as CSV, and warnings.
 
     The table has x, y and, for models with height, z; with `inverse`, from the image to the ground,
     line and sample. Then the ground has the heights of the raster `dem` or the one `height`; models

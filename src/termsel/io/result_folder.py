@@ -157,7 +157,7 @@ def _files(result: Result) -> dict[str, str]:
 
 
 def _put_in_place(folder: Path) -> None:
-    """Replace the files of a folder by those that are pending, if any."""
+    """Replace the files of a folder by the pending ones; nothing without these."""
     pending = _pending(folder)
     if not pending.is_dir():
         return

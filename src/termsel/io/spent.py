@@ -86,7 +86,7 @@ def _independent(points: Points) -> set[tuple[Any, ...]]:
 
 
 def _fit_of(record: Record) -> tuple[Any, ...]:
-    """Return what distinguishes a fit from another one over the same points.
+    """Return a key that distinguishes a fit from another one over the same points.
 
     The strategy auto selects no features, so that a point which was corrected, or left out, makes
     no other fit: nobody chose it by the independent points.

@@ -169,7 +169,7 @@ class Helmert2D(SensorModel):
 
 
 def plane_units(model: SensorModel) -> tuple[float, float]:
-    """Return by what scaled X and Y are to be multiplied to have one unit; the larger is 1.
+    """Return factors of scaled X and Y by which both have one unit; the larger is 1.
 
     Longitudes are brought to the unit of latitudes in the middle of the control. Both are 1 for a
     model that is not prepared.

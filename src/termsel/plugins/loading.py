@@ -434,7 +434,7 @@ def _plain(slot: Slot, implementation: pluggy.HookImpl, arguments: Arguments, ac
     """Return an implementation that never raises; what it returns is a list of things."""
     @wraps(implementation.function)
     def answer(*_args: Any, **_keywords: Any) -> list[Any] | None:
-        """Return what one plugin gives for the hook; note its fault if it fails."""
+        """Return the things that one plugin gives for the hook, None for none; note its fault."""
         items, reason = slot.attempt(
             lambda: accept(_call_hook(implementation, slot.plugin, arguments)), seconds)
         if reason is not None:
@@ -447,7 +447,7 @@ def _plain(slot: Slot, implementation: pluggy.HookImpl, arguments: Arguments, ac
 
 def _wrapper(slot: Slot, implementation: pluggy.HookImpl, arguments: Arguments, _accept: Taken,
              answers: Answers, givers: _Givers, seconds: float | None) -> Callable[..., Any]:
-    """Return a wrapper that never raises; if it fails, what it wraps is the result."""
+    """Return a wrapper that never raises; if it fails, the inner answers stand."""
     @wraps(implementation.function)
     def wrap(*_args: Any, **_keywords: Any) -> Generator[None, Any, Any]:
         """Run a plugin's wrapper around the others; if it fails, their answers stand."""

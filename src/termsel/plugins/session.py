@@ -49,7 +49,7 @@ def register(thing: T) -> T:
 
 
 def get(kind: str, name: Any) -> Any:
-    """Return what a name stands for, whoever provides it.
+    """Return the thing that has a name, whoever provides it.
 
     Parameters
     ----------

@@ -49,7 +49,7 @@ _UNLIKELY, _FAR_DEVIATIONS = 0.01, 2.576
 
 def document(record: Record, view: View | None = None, picture: str = "",
              further: tuple[Section, ...] = ()) -> Document:
-    """Return what is shown of a result.
+    """Return the document that shows a result.
 
     Parameters
     ----------

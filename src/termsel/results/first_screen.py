@@ -515,7 +515,7 @@ def _first_sentence(note: str) -> str:
 
 
 def _is_shown(note: str) -> bool:
-    """Return whether the lines above a warning say the same as a note."""
+    """Return whether the lines above the warnings already say a note."""
     return note.startswith(("The vendor's RPC", "The search removed", "With ", "Left out for"))
 
 

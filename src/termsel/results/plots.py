@@ -159,7 +159,7 @@ def missing(view: View, name: str) -> str:
 
 
 def figure(view: View | None, name: str, drawn: Any = None) -> Iterator[Figure]:
-    """Yield a chart as a block, where there is a view that has one.
+    """Yield a chart as a block; nothing if the view has none, or is None.
 
     Parameters
     ----------
@@ -177,7 +177,7 @@ def figure(view: View | None, name: str, drawn: Any = None) -> Iterator[Figure]:
 
 
 def chart(view: View, name: str) -> Any:
-    """Return a chart in the common style, with its title and what to look for.
+    """Return a chart in the common style, with its title and how to read it.
 
     Parameters
     ----------

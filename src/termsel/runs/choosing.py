@@ -127,7 +127,7 @@ class _Chosen:
 
 def choose_for(request: Request, observations: Observations, auto: Auto, seed: int,
                observers: Iterable[Observer] = ()) -> Finding:
-    """Return what is chosen from methods, and what it is compared with.
+    """Return the choice among methods, and the fits that it is compared with.
 
     The model and the solver of the request take no part. The seed is that of the search by OWDIS,
     where there are points and lines. Observers are called with `Progress` after each method.

@@ -191,7 +191,7 @@ line."""
 def notes_on_data(read: FeatureSet, observations: Observations, heights: bool,
                   blank: Sequence[str] = (), fitted: FeatureSet | None = None,
                   clean: Observations | None = None) -> Iterator[str]:
-    """Yield what the reader of a result must know of the data, as read and each in its role.
+    """Yield notes on the data, as read and each in its role, for the reader of a result.
 
     `heights` is whether heights would be used; `blank` are features that were left out as they have
     no height; a model is fitted to `fitted`, by default control and check together; `clean` are

@@ -198,7 +198,7 @@ class Finding:
 
 
 def result_of(request: Request, finding: Finding) -> Result:
-    """Return the result of what a method found.
+    """Return the result of a method's finding.
 
     Here independent points are looked at, for the first and only time: their figures, and those
     without the ones that contradict all others.

@@ -99,7 +99,7 @@ def judge_choice(method: Method, predicted: float | None, rmse: Rmses,
                  baselines: tuple[Baseline, ...], noise: float | None, *,
                  held_out: float | None = None, among: int = 1,
                  is_asked_for: bool = False) -> str:
-    """Return some sentences on what the choice of a strategy, or a method asked for, is worth.
+    """Return some sentences on the worth of an automatic choice, or of a method asked for.
 
     `predicted` is the RMSE of the choice repeated in folds [px], `held_out` that of the chosen
     model alone in leave-one-out, which was chosen `among` several, `rmse` that by role, and `noise`

@@ -98,7 +98,7 @@ def with_options(role: str, component: type[Configurable] | Configurable,
 
 
 def second_solver(recipe: Recipe, settings: Mapping[str, Any]) -> Any:
-    """Return the solver of the second of two steps as asked for, or the problem's; or None.
+    """Return the solver of the second step, as asked for or the problem's; None without one.
 
     Given are the options of all parts. Refuses a solver, or options of one, where there is no
     second step, or no solver of its own.

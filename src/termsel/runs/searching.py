@@ -83,7 +83,7 @@ class Search(TaskMethod):
         self.__dict__.update(problem=problem, settings=settings or {}, limits=limits or {})
 
     def fit(self, data: FitData) -> Fit:
-        """Search, and fit what is selected.
+        """Search, and fit the selection.
 
         Where no point is a selection point some become such, by their places, as the search judges
         by them; none is independent.
@@ -200,7 +200,7 @@ def assessed(task: Task, search: SearchResult) -> Result:
 
 def finding_of(task: Task, search: SearchResult, auto: Auto,
                verdict: Verdict | None = None) -> Finding:
-    """Return what a search found, and what it is compared with.
+    """Return the finding of a search, and the fits that it is compared with.
 
     `auto` chooses the method that the selection is compared with. `verdict` is that of
     `judge_features` before the search.

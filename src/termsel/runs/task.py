@@ -334,7 +334,7 @@ def prepared(request: Request) -> Task:
 
 
 def checked(task: Task) -> Task:
-    """Return a task whose problem has been built; raise what building it raises."""
+    """Return a task after its problem has been built, whose errors are raised here."""
     _ = task.problem
     return task
 
@@ -524,7 +524,7 @@ LEAST = 2
 
 
 def request_of_method(problem: str | Recipe, *, options: Any = None, **arguments: Any) -> Request:
-    """Return what is asked for where a method answers a problem, in place of the problem's search.
+    """Return the request where a method answers a problem, in place of its search.
 
     `arguments` are features, data set, source and model, as for `request_of`. The criterion needs
     no selection points, as the method is fitted to them as to control, and yet shows their figures;

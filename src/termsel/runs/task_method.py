@@ -16,7 +16,7 @@ class TaskMethod(Method):
 
     @abstractmethod
     def find(self, task: Task, memory: Memory) -> tuple[Request, Finding]:
-        """Return what is found on the features of a prepared task, and what was asked for.
+        """Return the request and the finding on the features of a prepared task.
 
         Parameters
         ----------

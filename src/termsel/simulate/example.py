@@ -32,7 +32,7 @@ BOARD = checkerboard((LON, LAT), SIDE)
 
 @cache
 def terrain() -> Terrain:
-    """Return hills between `LOW` and `HIGH` over what the image shows."""
+    """Return hills between `LOW` and `HIGH` over the ground of the image."""
     edge = np.stack(np.meshgrid(np.linspace(0, SIZE[0], 40), np.linspace(0, SIZE[1], 40)), -1)
     positions = SENSOR.locate(edge.reshape(-1, 2), (LOW + HIGH) / 2)
     hills = hilly(8, LON, LAT, (SIZE[1] * GSD, SIZE[0] * GSD), 20.0)

@@ -77,7 +77,7 @@ def kept_text(name: str) -> str:
 
 
 def to_keep(features: FeatureSet) -> bytes:
-    """Return what `kept_features` reads: every number with all its digits, a feature a line."""
+    """Return features as bytes that `kept_features` reads, every number with all its digits."""
     points = features.points
     lines = features.lines
     assert features.image_size is not None

@@ -139,7 +139,7 @@ class Pushbroom:
         return (self.n_lines - 1) / 2, (self.n_samples - 1) / 2
 
     def time(self, line: FloatArray) -> FloatArray:
-        """Return the time of exposure [s] of `line` [px]; 0 in the middle of the image."""
+        """Return the time of exposure [s] of lines [px], (n,); 0 in the middle of the image."""
         return (line - self.centre[0]) * self.line_period
 
     def exposure(self, time: ArrayLike) -> tuple[FloatArray, FloatArray]:
@@ -293,7 +293,7 @@ class Pushbroom:
 
     def _view(self, target: FloatArray, up: FloatArray, height: FloatArray, line: FloatArray,
               ) -> tuple[FloatArray, FloatArray]:
-        """Return the along-track camera coordinate of targets at `line`, and their sample."""
+        """Return the along-track camera coordinate of targets at `line`, and their sample, (n,)."""
         station, rotation = self.exposure(self.time(line))
         if self.refraction:
             target = target + _refraction(target, up, height, station)

@@ -240,7 +240,7 @@ def _role_counts(scene: Scene, count: int) -> tuple[int, int, int]:
 @lru_cache(maxsize=16)
 def _noise_free_features(name: str, seed: int | None, roles: tuple[int, int, int],
                          n_lines: int) -> tuple[Points, Lines]:
-    """Return points and lines free of noise; studies and tests ask for the same ones often."""
+    """Return points and lines free of noise; cached, as studies and tests repeat them."""
     scene = _scene(name)
     point_rng, line_rng = _streams(scene, seed)[:2]
     return _points(scene, point_rng, roles), _lines(scene, line_rng, n_lines)
@@ -297,7 +297,7 @@ class _Placed:
             self._tree = cKDTree(self._places[:self._count])
 
     def away(self, candidates: FloatArray) -> FloatArray:
-        """Return how far each place tried is from the nearest; infinite without any."""
+        """Return how far candidates (n, 2) are from the nearest place, (n,); infinite without."""
         x, y = self._places[self._in_tree:self._count].T
         distance: FloatArray = np.sqrt(((candidates[:, :1] - x) ** 2
                                         + (candidates[:, 1:] - y) ** 2).min(axis=1, initial=np.inf))
@@ -338,7 +338,7 @@ def _lines(scene: Scene, rng: Generator, count: int) -> Lines:
 
 
 def _pick_mismatched(rng: Generator, n_lines: int, wrong: int) -> IntArray:
-    """Return which lines are mismatched, in order; the first numbers from `rng`."""
+    """Return the indices (wrong,) of mismatched lines, in order; the first numbers of `rng`."""
     return np.sort(rng.choice(n_lines, wrong, replace=False))
 
 

@@ -68,7 +68,7 @@ def write_outputs(study: Study, out: Path) -> list[Path]:
 
 
 def summary(study: Study) -> str:
-    """Return the images of a study as text, or what packages say of searches.
+    """Return a study as text: a table of its images, or the packages' summary of searches.
 
     Without a package, the text says which would show more.
     """
@@ -87,7 +87,7 @@ def summary(study: Study) -> str:
 
 
 def _images(study: Study) -> str:
-    """Return what stands out, the table of images, and the reasons of verdicts, as text."""
+    """Return remarks, the table of images, and the reasons of verdicts, as text."""
     title = [study.spec.title] if study.spec.title else []
     blocks: tuple[Block, ...] = (*title, *study.remarks, *usual_notes_in_words(study.rows),
                                  image_table(study.rows), *image_reasons(study.rows))

@@ -81,7 +81,7 @@ class Study(Glance):
 
     @property
     def noun(self) -> str:
-        """What the rows are called: an image of a batch, or a run of a study of searches."""
+        """The word for a row: an image of a batch, or a run of a study of searches."""
         return "image" if self.spec.strategies == ("auto",) else "run"
 
     @property

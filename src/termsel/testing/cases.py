@@ -173,7 +173,7 @@ def label(item: type[Configurable] | Configurable, options: Mapping[str, Any]) -
 
 def declares(kind: str, item_of: Callable[[Any], Any] = lambda subject: subject,
              ) -> Callable[[Any], None]:
-    """Return the check of what a thing declares, given how a case's subject has the thing."""
+    """Return the check of a thing's declaration, given how a case's subject has the thing."""
     def declaration(subject: Any) -> None:
         """It has a name and a docstring or summary; its options are documented and parse."""
         check_declaration(kind, item_of(subject))

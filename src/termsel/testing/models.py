@@ -247,13 +247,13 @@ def _made(model: type[SensorModel], options: Mapping[str, Any],
 
 
 def _twin(model: SensorModel) -> SensorModel:
-    """Return another model with the same options, for the same features."""
+    """Return another model with the same options, prepared for the same features."""
     assert model.scaling is not None
     return _made(type(model), model.options, (model.scaling, model.crs))
 
 
 def _choices(model: type[SensorModel]) -> list[dict[str, Any]]:
-    """Return no options, and each choice other than a default by itself."""
+    """Return sets of options: none, then each choice other than a default by itself."""
     option_sets: list[dict[str, Any]] = [{}]
     for option in model.declared_options:
         # Options with few values; numbers have no natural second value.

@@ -78,7 +78,7 @@ SUITE = Suite((declares("objectives"), figure_each, control_kinds, deterministic
 
 
 def _selections(points: int = 14, lines: int = 0) -> list[PopulationSelection]:
-    """Return selections of nothing, all and some, from problems of terms and of features."""
+    """Return selections of none, all and some, from problems of terms and of features."""
     model = Affine()
     rng = seeded()
     truth = random_coefficients(model, rng)

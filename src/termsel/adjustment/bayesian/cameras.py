@@ -126,7 +126,7 @@ class _Flights:
     pole: FloatArray     # (c, 3)
 
     def sight(self, positions: FloatArray, time: FloatArray) -> FloatArray:
-        """Return what leads from the satellites to places (m, 3) at times (c, m), (3, c, m).
+        """Return vectors, (3, c, m), from the satellites to places (m, 3) at times (c, m).
 
         In axes that turn with the orbit the satellite rests; the Earth turns in inertial space.
         """
@@ -160,7 +160,7 @@ def _flights(rng: np.random.Generator, heading: FloatArray, latitude: float, til
 
 def scanner_views(positions: FloatArray, azimuth: float,
                   latitude: float) -> tuple[FloatArray, ...]:
-    """Return time and slope across of places (m, 3) in images of so many cameras, once (c, m, 2).
+    """Return time and slope across, once (c, m, 2), of places (m, 3) in images of cameras.
 
     The azimuth of the scan is clockwise from north [rad]; the latitude is in degrees, or NaN.
     Cameras that do not see all places are left out.
@@ -197,7 +197,7 @@ def scanner_views(positions: FloatArray, azimuth: float,
 
 def radar_views(positions: FloatArray, azimuth: float, latitude: float, *,
                 right: bool) -> tuple[FloatArray, ...]:
-    """Return time and range of places in images of so many radars (see `scanner_views`).
+    """Return time and range of places in images of radars (see `scanner_views`).
 
     A place is seen when it is nearest. Radars look to the right or to the left of the flight. The
     range is first that along the ray, then that on the ground, of a sphere at the height of the
@@ -258,7 +258,7 @@ def frame_views(positions: FloatArray, azimuth: float) -> tuple[FloatArray, ...]
 
 def _views_at_sight(view: Callable[[FloatArray], FloatArray], positions: FloatArray, azimuth: float,
                     cameras: int) -> FloatArray:
-    """Return times (c, m) at which the first of what a view has is 0, and the others, (c, m, .).
+    """Return times (c, m) at which the first coordinate of a view is 0, and the others, (c, m, .).
 
     A view gives what it has at times, (., c, m). Cameras that do not see all places are left out.
     """

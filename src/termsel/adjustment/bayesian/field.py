@@ -351,7 +351,7 @@ class GaussianProcess:
 
 
 def fit_gaussian_process(points: Points, variables: int) -> GaussianProcess | None:
-    """Return what control points, scaled, predict by a polynomial with a random field.
+    """Return the prediction by a polynomial with a random field, of scaled control points.
 
     The polynomial is in 2 variables, X and Y, or 3, with Z. None if all points but any one do not
     determine an affine model with redundancy.

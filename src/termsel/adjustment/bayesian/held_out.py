@@ -194,7 +194,7 @@ def _fill_excess(line_square: FloatArray, sample_square: FloatArray, square: flo
 @_inlined
 def _fill_share(line_root: FloatArray, sample_root: FloatArray, weight: float, share: FloatArray,
                 total: FloatArray) -> None:
-    """Fill in what is left of the factor of a cell without its power, and add it."""
+    """Fill `share` with the factor of a cell without its power, and add it to `total`."""
     for p in range(len(share)):
         share[p] = weight * line_root[p] * sample_root[p]
         total[p] += share[p]

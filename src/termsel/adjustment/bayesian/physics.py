@@ -181,7 +181,7 @@ def camera_priors(kinds: Sequence[Kind], positions: FloatArray, scaled: FloatArr
 @lru_cache(maxsize=16)  # points held out hardly turn an image, and most do not narrow its extent
 def _cached_views(views: Views, positions: bytes, scaled: bytes, exponents: Exponents,
                   azimuth: float, latitude: float) -> list[tuple[FloatArray, FloatArray]]:
-    """Return slopes (c, 2, 2) and coefficients (c, 2, k - N_FREE) of what c cameras see."""
+    """Return slopes (c, 2, 2) and coefficients (c, 2, k - N_FREE) of the images of c cameras."""
     places = np.frombuffer(positions).reshape(-1, 3)
     plane = np.column_stack([np.ones(len(places)), places[:, :2]])
     to_slopes = np.linalg.pinv(plane)[1:]
@@ -264,7 +264,7 @@ class CameraSolutions:
         return fewer
 
     def left_out(self) -> tuple[FloatArray, FloatArray]:
-        """Return what the priors say of each point by the others.
+        """Return the prediction of each point by the others under each prior.
 
         That is the logarithm of the marginal likelihood without it, (p, n), and its error,
         (p, n, 2): P^-1 P y of its two rows, P being the inverse covariance of all rows.

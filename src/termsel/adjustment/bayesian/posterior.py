@@ -220,7 +220,7 @@ class GridCells:
 
 def _cells(line: AxisEvidence, sample: AxisEvidence, freedom: int, noise: float, *,
            affine: bool) -> GridCells:
-    """Return what is on the grid of group, size of line and size of sample, and likely enough.
+    """Return the likely cells of the grid of group, size of line and size of sample.
 
     What is less likely than the likeliest by MAX_LOG_RATIO is left out. An image is affine in line
     and sample, or in none; `affine` is whether it may be.
@@ -327,7 +327,7 @@ class Posterior:
         return leave_each_point_out(*self.errors_of(batch), cells, self.freedom // 2 - 1)
 
     def predict_unused(self, weight: float) -> HeldOutPredictions:
-        """Return what the points in use predict for the others, which weigh too little to matter.
+        """Return the predictions of the points of too little weight by the points in use.
 
         With the weight w of a point and 1 less its leverage l, its error is e / (l w), and the
         variance of that, by the noise of a point in use, 1 + (1 - l) / w^2.
@@ -460,7 +460,7 @@ class PredictedPositions:
 
 def predict_positions(posterior: Posterior, free: FloatArray, shrunken: FloatArray,
                       unspanned: FloatArray | None = None) -> PredictedPositions:
-    """Return what a posterior foresees at m places.
+    """Return the positions that a posterior predicts at m places.
 
     The columns there are (m, f) of those that are not shrunken, and (m, k) of the others. Of what
     no column spans comes the variance for size 1, (g, m), for each group of scales.

@@ -280,7 +280,7 @@ def _basis_of_knots(q: FloatArray, positions: FloatArray, weights: FloatArray,
 
 def _axes(basis: _Basis, targets: FloatArray, smoothings: FloatArray,
           criterion: str) -> list[AxisSpline]:
-    """Return the splines of a axes with the same weights, whose targets are (n, a)."""
+    """Return the splines of several axes with the same weights, from targets (n, axes)."""
     free = targets - basis.q @ (basis.q.T @ targets)
     projections = basis.along(free)
     # What neither affine functions nor kernels span; there M is the identity by the smoothing.

@@ -210,7 +210,7 @@ class RunOptions:
 
     @property
     def source(self) -> str | None:
-        """The files, for the record."""
+        """The files in one text, for the record; None without any."""
         # The file of image lines is data as well, whose checksum the record has.
         return ", ".join(str(path) for path in (*self.files, self.image_lines)
                          if path is not None) or None
@@ -239,7 +239,7 @@ class RunOptions:
         return files
 
     def page(self) -> Path | None:
-        """Return the page of ``--report``, if it is asked for and may be written."""
+        """Return the page of ``--report``; None if it is not asked for."""
         from termsel.io.replacing import require_replaceable
         from termsel.results.theme import require_altair
 
@@ -261,7 +261,7 @@ class RunOptions:
             say_written([page])
 
     def read(self) -> tuple[FeatureSet | None, dict[str, str]]:
-        """Return the features of the files, if any are given, and the options that remain."""
+        """Return the features of the files, None without files, and the options that remain."""
         from termsel.io.read import read, read_options, readers_of, refuse_misspelt
         from termsel.plugins.registry import registry
 
@@ -304,7 +304,7 @@ class RunOptions:
 
     def command(self, problem: str, solver: str, criterion: str,
                 settings: Mapping[str, str]) -> str:
-        """Return a command that runs another method on the same data, all of ``--set`` included."""
+        """Return a command that runs another method on the same data, with all of ``--set``."""
         from termsel.core.files.drivers import remote_allowed
 
         words = ["termsel", "run", "--problem", problem]
@@ -324,7 +324,7 @@ _RPCS = {".rpb", ".rpc"}
 
 
 def with_files(files: Sequence[Path], arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what is given, with files named without an option: image, RPC, lines or points.
+    """Return the arguments, with files named without an option: image, RPC, lines or points.
 
     Raises
     ------

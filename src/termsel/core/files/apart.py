@@ -49,7 +49,7 @@ _too_much: dict[tuple[object, ...], TermselError] = {}
 
 
 def apart(work: Callable[..., Answer], path: Path, *arguments: Any) -> Answer:
-    """Return what a function of a module makes of a file, and further values, in another process.
+    """Return the value of a function, called in another process with a file and further values.
 
     Raises
     ------

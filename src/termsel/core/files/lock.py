@@ -64,7 +64,7 @@ def _held(folder: Path, hint: str) -> Iterator[FileIO]:
 
 
 def turn(path: Path, seconds: float) -> FileIO | None:
-    """Return a lock, once another process that holds it is done: to do what is done only once.
+    """Return a lock for work done only once, after any other process that holds it.
 
     None after so many seconds, or where nothing can be locked: nobody must depend on it.
     """
@@ -121,7 +121,7 @@ def _free(file: FileIO, folder: Path) -> bool:
 
 
 def _taken(file: FileIO) -> bool:
-    """Take a lock if no other process has it; raises OSError where nothing can be locked."""
+    """Take a lock and return True; return False if another process has it."""
     try:
         _lock(file)
     except OSError as error:

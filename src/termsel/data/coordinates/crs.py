@@ -235,7 +235,7 @@ def _letters(name: str) -> str:
 
 @lru_cache
 def _code_or_text(text: str) -> str:
-    """Return the EPSG code of what pyproj knows by another name, else the text; a search of 10 ms.
+    """Return the EPSG code of a CRS under another name, else the text; a search of 10 ms.
 
     Shapefiles call a CRS by other names than EPSG, whatever they say being the same.
     """

@@ -141,7 +141,7 @@ def _coordinate_counted_otherwise(features: FeatureSet) -> str:
 
 
 def is_mirrored(features: FeatureSet) -> bool | None:
-    """Return whether the image is a mirror image of the ground; None where nothing shows.
+    """Return whether the image is a mirror image of the ground; None if that is open.
 
     The determinant of the matrix from ground to image says so, of three points on no line already.
     Whether this is right depends on how the image is counted: others of its kind show.

@@ -203,7 +203,7 @@ def _arrays(path: Path) -> tuple[Path, Path]:
 
 
 def _names_array(array: Path, path: Path) -> bool:
-    """Return whether the VRT that is at a path, if any, names an array."""
+    """Return whether the VRT at a path, if it exists, names an array."""
     if not path.is_file():
         return False
     with path.open("rb") as file:

@@ -145,7 +145,7 @@ class ScoreSystems:
                 for n in range(self.everything.room + 1)]
 
     def trimmed(self, node: SubtreeNode, best: FloatArray) -> SubtreeNode:
-        """Return the part of a node that may still have a best subset, if any."""
+        """Return a node with only the room in which it may have a best subset; -1 if none."""
         if self.kind != RSS:
             return node
         smallest = len(node.used)

@@ -148,7 +148,7 @@ class _Incumbents:
         self.pruned = 0
 
     def replace(self, result: NodeResult) -> None:
-        """Take over what a walk that started from these found, which is no worse."""
+        """Take the best subsets of a walk that started from these: they are no worse."""
         self.best = result.best
         self.masks = result.masks
 
@@ -185,7 +185,7 @@ def _decide_small_sizes(incumbents: _Incumbents) -> Iterator[SubsetResult]:
 
 def _branch_and_bound(incumbents: _Incumbents, root: SubtreeNode, cost: Cost | None,
                       node_subsets: int, workers: int) -> Iterator[SubsetResult]:
-    """Split the tree into nodes of at most so many subsets, bound each, and decide it by a worker.
+    """Split the tree into nodes of at most `node_subsets`, bound each, and decide it by a worker.
 
     Results are taken in the order in which nodes were given out, and at fixed points of it. A
     node thus starts from the same incumbents, and a bound spares the same work, with any number

@@ -82,7 +82,7 @@ class Press(_LeftOut):
         return self.combined(fits, squares)
 
     def subset_folds(self, control: Points) -> tuple[IntArray, ...]:
-        """Return each point with its twins; nothing without twins."""
+        """Return each point with its twins, as indices; () without twins."""
         groups = _groups(control, no_lines())
         return groups if len(groups) < len(control) else ()
 

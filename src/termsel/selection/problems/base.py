@@ -245,7 +245,7 @@ class Problem(Guarded, ABC):
 
     @abstractmethod
     def decode(self, genes: Genes) -> Selection:
-        """Return what one chromosome, shape (genome.size,), selects."""
+        """Return the selection of one chromosome, shape (genome.size,)."""
 
     def moves(self, _genes: Genes) -> Iterator[Genes]:
         """Yield individuals that a local refinement tries before the neighbours of each segment.

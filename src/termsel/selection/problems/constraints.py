@@ -125,7 +125,7 @@ def most_terms(equations: IntArray, share: float, freedom: int = 1) -> IntArray:
 
 def excess(systems: tuple[IndependentPart, ...], terms: BoolArray, features: BoolArray | None,
            share: float, freedom: int = 1) -> FloatArray:
-    """Return how many terms are in use in excess of what the equations in use support, shape (p,).
+    """Return how many terms are in use beyond those that the equations support, shape (p,).
 
     Each part supports its own terms, (p, k), or (1, k) if all have the same. Features (p, f) are
     all in use by default. Share and freedom are those of `most_terms`.

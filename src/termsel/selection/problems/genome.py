@@ -139,7 +139,7 @@ class Genome:
         return np.asarray(genes[:, self._slices[name]].astype(segment.dtype))
 
     def values(self, genes: Genes) -> dict[str, Any]:
-        """Return what one chromosome, shape (size,), means, by the name of the segment.
+        """Return the values of one chromosome, shape (size,), by the name of the segment.
 
         Of `Bits` and a `Subset` the labels that are on; of a `Permutation` the labels in their
         order; of others the value of each gene by its label.

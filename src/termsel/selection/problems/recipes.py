@@ -220,7 +220,7 @@ _ALSO = (*TERM_OPTIONS, MIXED, OBJECTIVES, RECOMMEND_TERMS, TERMS, *COUNT_OPTION
 
 
 def undeclared_options(recipe: Recipe) -> tuple[Option, ...]:
-    """Return what the problem of a recipe may take beside its declared options.
+    """Return the options that a recipe's problem may take beside its declared ones.
 
     A recipe that declares none of those of `SelectionProblem` has them all the same; whether its
     problem is one is known when it has been built, from `options_of`.

@@ -45,7 +45,7 @@ class _Bounded(Named):
         return self.low, self.high
 
     def fault(self, genes: Genes) -> str:
-        """Return what is wrong with genes of any dtype, or nothing."""
+        """Return how genes of any dtype are at fault; "" if they are not."""
         outside = ~((genes >= np.array(self.low)) & (genes <= np.array(self.high)))
         if not outside.any():
             return ""
@@ -153,7 +153,7 @@ class Integers(_Bounded):
         return rng.integers(self.low, self.high, (n, self.size), endpoint=True)
 
     def fault(self, genes: Genes) -> str:
-        """Return what is wrong with genes of any dtype, or nothing."""
+        """Return how genes of any dtype are at fault; "" if they are not."""
         return super().fault(genes) or _not_whole(genes)
 
 
@@ -231,7 +231,7 @@ class Categories(Named):
         return 0, len(self.choices) - 1
 
     def fault(self, genes: Genes) -> str:
-        """Return what is wrong with genes of any dtype, or nothing."""
+        """Return how genes of any dtype are at fault; "" if they are not."""
         inside = (genes >= 0) & (genes < len(self.choices))
         return _not_whole(genes) if inside.all() else (
             f"are not all from 0 to {len(self.choices) - 1}, numbers of choices")
@@ -268,7 +268,7 @@ class Permutation(Named):
         return genes.argsort(axis=1, kind="stable").argsort(axis=1)
 
     def fault(self, genes: Genes) -> str:
-        """Return what is wrong with genes of any dtype, or nothing."""
+        """Return how genes of any dtype are at fault; "" if they are not."""
         valid = (np.sort(genes, axis=1) == np.arange(self.size)).all()
         return "" if valid else f"are no permutation of 0 to {self.size - 1}"
 
@@ -326,7 +326,7 @@ class Subset(Named):
         return random_subsets(n, len(self.labels), self.m, rng)
 
     def fault(self, genes: Genes) -> str:
-        """Return what is wrong with genes of any dtype, or nothing."""
+        """Return how genes of any dtype are at fault; "" if they are not."""
         in_range = (genes >= 0) & (genes < len(self.labels))
         if not in_range.all() or _not_whole(genes) or (np.diff(genes, axis=1) <= 0).any():
             return (f"are not {self.m} different whole numbers from 0 to {len(self.labels) - 1}, "
@@ -334,13 +334,13 @@ class Subset(Named):
         return ""
 
     def mask(self, genes: Genes) -> BoolArray:
-        """Return what is chosen, shape (p, n), from genes (p, m)."""
+        """Return the mask of the chosen labels, (p, n), from genes (p, m)."""
         on = np.zeros((len(genes), len(self.labels)), dtype=bool)
         np.put_along_axis(on, genes.astype(np.intp), True, axis=1)
         return on
 
     def members(self, mask: BoolArray) -> Genes:
-        """Return genes, shape (p, m), from a mask of what is chosen (p, n)."""
+        """Return genes (p, m) from a mask of the chosen labels, (p, n)."""
         return np.nonzero(mask)[1].reshape(len(mask), self.m)
 
 

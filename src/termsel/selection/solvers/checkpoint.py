@@ -213,7 +213,7 @@ class Stage:
             self.write()
 
     def write(self) -> None:
-        """Write what was added."""
+        """Write the lines added since the last time; raises TermselError if that fails."""
         content = b"".join(msgspec.json.encode(line) + b"\n" for line in self._unwritten)
         try:
             with self.path.open("ab") as file:

@@ -157,7 +157,7 @@ def _matching_files(spec: Spec, source: Source, kind: str, patterns: tuple[str, 
 
 
 def _how_to_name(pattern: str, kind: str, folder: Path) -> str:
-    """Return what to do about a pattern that no file matches."""
+    """Return advice on a pattern that no file matches."""
     names = [name.strip() for name in pattern.split(",")]
     if len(names) > 1 and all(os.path.exists(folder / name) for name in names):
         return f"Separate files by --{kind}: --{kind} {f' --{kind} '.join(names)}."
@@ -206,7 +206,7 @@ def _together(spec: Spec, source: Source,
 def _options_by_part(source: Source, files: Mapping[str, str], folder: Path) -> dict[str,
                                                                                      dict[str,
                                                                                           Any]]:
-    """Return the options of each part of a file that has several; of another nothing."""
+    """Return the options of each part of a file that has several; {"": {}} of another file."""
     undivided: dict[str, dict[str, Any]] = {"": {}}
     if set(files) != {"points"}:
         return undivided

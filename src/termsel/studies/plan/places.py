@@ -26,7 +26,8 @@ class Places:
     known: dict[Path, tuple[int, int]] = field(default_factory=dict)
 
     def error(self, path: Path, problem: str, hint: str | None = None) -> TermselError:
-        """Return an error about a problem that names the place of a value, or of what holds it."""
+        """Return an error that names the place of a value, or of the list or table that holds it.
+        """
         # From the value up to what holds it, until a place is known.
         while path and path not in self.known:
             path = path[:-1]
@@ -121,7 +122,7 @@ class _Reader:
         self._value(path)
 
     def _value(self, path: Path) -> None:
-        """Note the lines of what is in a value, and pass it."""
+        """Note the lines of a value's items, and move past it."""
         self._pass_lines()
         text = self._tokens[self._at][1]
         if text in ("[", "{"):

@@ -80,14 +80,14 @@ class Spec:
 
 
 def read_spec(file: Path) -> Spec:
-    """Return what a study file asks for; what is refused has its line and column."""
+    """Return the spec of a study file; errors name line and column."""
     table, text = read_toml(file, "a study file",
                             "termsel example DIR writes a study.toml to begin with.")
     return spec_of(table, places_of(text, file))
 
 
 def spec_of(table: Mapping[str, Any], places: Places | None = None) -> Spec:
-    """Return what a table of names, options and budgets asks for, checked."""
+    """Return the checked spec of a table of names, options and budgets."""
     # From Python there are no lines to name.
     at = places or Places()
     # From here on a study from Python is as one from a file.

@@ -90,7 +90,7 @@ def _rational_squares(t: FloatArray, v: FloatArray, t_below: FloatArray, v_below
 
 @_compiled
 def _press_squares(level: Depth, n: int, c: int, j: int, limits: Limits) -> float:
-    """Return the sum of squared leave-one-out errors, or infinity if there is none.
+    """Return the sum of squared leave-one-out errors; infinite if one is not determined.
 
     With residual e, leverage h and the denominator's cross-leverage g, a row's leave-one-out
     error is e / (1 - h), and its denominator is lower by g e / (1 - h).

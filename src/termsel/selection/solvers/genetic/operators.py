@@ -231,7 +231,7 @@ def flip_bits(genes: BoolArray, probability: float, rng: np.random.Generator) ->
 
 
 def set_crossover(tuples: IntArray, probability: float, rng: np.random.Generator) -> IntArray:
-    """Return children that keep what both parents have and draw the rest from what one has.
+    """Return children with the numbers that both parents have, and random ones that one has.
 
     Parents are tuples (p, m), each row ascending; rows 0 and 1 are a pair, 2 and 3, and so on,
     which mates with the given chance. So are their children, two per pair, without repetition.

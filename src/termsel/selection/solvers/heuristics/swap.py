@@ -100,7 +100,7 @@ def _neighbours_of_bits(genes: BoolArray, genome: Genome) -> Iterator[BoolArray]
 
 def descend(problem: Problem, genes: Genes, evaluation: Evaluation, index: int = 0,
             ) -> Iterator[Generation]:
-    """Step to better neighbours until there is none; yield each selection reached, the start first.
+    """Step to better neighbours while there are any; yield each selection, the start first.
 
     A step goes to the best of the first batch of `neighbours` that has a better one; when the
     descent ends, no neighbour is better. If several segments of the genome have a better
