@@ -247,6 +247,7 @@ class Axis:
             raise ValueError("selection")
 
     def _rows(self, values: Sequence[Sequence[float]]) -> list[list[Fraction]]:
+        """Return rows as exact fractions; raises ValueError if one has not k + 1 values."""
         rows = [_exact(row) for row in values]
         if any(len(row) != self.k + 1 for row in rows):
             raise ValueError("a row has not one value for each term and the target")

@@ -95,6 +95,7 @@ class _Cache(FunctionCache):
             return False
 
     def _forget(self) -> None:
+        """Remove the code kept, or log that this failed."""
         try:
             self.flush()
         except OSError as error:

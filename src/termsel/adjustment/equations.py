@@ -138,6 +138,7 @@ def approximate_image(features: FeatureSet, *, heights: bool = True) -> FloatArr
 def _approximate_image(features: FeatureSet, heights: bool) -> FloatArray:
     """Fit A x = b of points, dl and ds, and of lines, n'(l, s) = rho; return (l, s) of vertices."""
     def columns(ground: FloatArray, degree: int) -> FloatArray:
+        """Return the monomials up to degree 1 or 2 at places (n, 3), (n, 4) or (n, 10)."""
         x, y, z = ground.T if heights else (*ground.T[:2], np.zeros(len(ground)))
         linear = [np.ones_like(x), x, y, z]
         return np.stack(linear if degree == 1 else

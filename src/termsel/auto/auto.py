@@ -374,6 +374,7 @@ class Auto(Method):
                    for fitted in choice.compared}
 
         def may_be_chosen(method: Method) -> bool:
+            """Return whether a method can be the choice for some part of the features."""
             # What others contain, or what needs others, is fitted in parts only where these say so.
             if contained(method, priors) or not is_near.keys() >= set(method.needs):
                 return True

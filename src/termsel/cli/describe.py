@@ -244,6 +244,7 @@ def _describe_dataset(entry: Entry) -> None:
 
 
 def _describe_format(entry: Entry) -> None:
+    """Print the description of a reader or writer, its needs and its options."""
     _document(entry)
     if needs := getattr(entry.object, "needs", ""):
         _pairs({"needs": needs})
@@ -276,6 +277,7 @@ _EXAMPLE_SECTION = re.compile(r"^Examples\n-{3,}\n.*?(?=^\w[\w ]*\n-{3,}$|\Z)",
 
 
 def _pairs(values: dict[str, Any]) -> None:
+    """Print names and values in two columns, without empty values."""
     # What a thing does not have is no line.
     shown = {key: value for key, value in values.items() if value}
     width = max(map(len, shown))

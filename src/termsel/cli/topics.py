@@ -71,6 +71,7 @@ _ALL_OPTIONS_ASKED = "termsel.help-all"
 
 
 def _show_all(context: click.Context, _: click.Parameter, is_asked_for: bool) -> None:
+    """Print the help with all options, and end the command."""
     if is_asked_for and not context.resilient_parsing:
         context.meta[_ALL_OPTIONS_ASKED] = True
         echo(context.get_help())

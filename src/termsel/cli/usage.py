@@ -61,6 +61,7 @@ def _first_sentence(option: click.Option) -> str:
 
 
 def _no_such_option(error: click.NoSuchOption) -> str:
+    """Return the message for an unknown option, with a near one, or with all of a few."""
     params = error.ctx.command.params if error.ctx is not None else ()
     key = error.option_name.lstrip("-").replace("-", "_")
     if any("--set" in param.opts for param in params) and key in _options_of_set():

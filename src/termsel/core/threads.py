@@ -22,6 +22,7 @@ def one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:
     # and on a busy machine it takes several times the processor time.
     @wraps(function)
     def alone(*args: P.args, **kwargs: P.kwargs) -> R:
+        """Call the function with one thread for linear algebra."""
         if not _memory_is_kept:
             _keep_freed_memory()
         with _libraries(len(sys.modules)).limit(limits=1, user_api="blas"):

@@ -45,6 +45,7 @@ def serve(drivers: tuple[str, ...], remote: bool) -> None:
 
 
 def _pickle_answer(answer: tuple[Any, BaseException | None]) -> bytes:
+    """Return an answer and its error as bytes; a TypeError in place of one pickle refuses."""
     try:
         return pickle.dumps(answer, protocol=pickle.HIGHEST_PROTOCOL)
     except (pickle.PicklingError, TypeError, AttributeError) as error:
@@ -81,6 +82,7 @@ def _answer_of_dataset(question: Question) -> Any:
 
 
 def _dataset(number: int) -> Any:
+    """Return the open dataset of a number; raises RasterioIOError if it is closed."""
     from rasterio.errors import RasterioIOError
 
     if number not in _open_here:

@@ -393,6 +393,7 @@ def asprs(points: int, ground: OnGround | None) -> StandardFigure:
 
 
 def _why_missing(points: int, ground: OnGround | None, fewest: int, remedy: str = "") -> str | None:
+    """Return why a figure of a standard is missing; None if it is not."""
     if points < fewest:
         return f"{counted(points, 'independent check point')}, at least {fewest} needed{remedy}"
     if ground is None:

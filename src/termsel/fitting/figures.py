@@ -71,6 +71,7 @@ def rmse_record(rmse: Rmses) -> RmseByRole:
 
 
 def _rmse_of_role(rmse: Rmse | None) -> RoleRmse:
+    """Return the RMSE of a role as a record holds it, with None for values without features."""
     if rmse is None:
         return RoleRmse(None, None, None, 0)
     return RoleRmse(finite_or_none(rmse.line), finite_or_none(rmse.sample),

@@ -670,6 +670,7 @@ class Fit(Glance):
 
     @cached_property
     def _held_out(self) -> HeldOut:
+        """The held-out errors, as stored or by the method, else by the estimator."""
         if self.stored_held_out is not None:
             # A result that was read has them, as the fit itself may not be repeatable.
             return self.stored_held_out
@@ -732,6 +733,7 @@ class Fit(Glance):
 
 @one_blas_thread
 def _errors_by_refitting(fitted: Fit) -> tuple[tuple[FloatArray, ...], bool]:
+    """Return the errors of each feature in use by a refit without it, and if all are determined."""
     # One thread: systems are small, and threads of the linear algebra would wait for each other.
     refits = list(fitted.estimator.without_each(fitted))
     return (tuple(refit.control_errors(fitted.used & ~refit.used) for refit in refits),

@@ -149,6 +149,8 @@ class LocalCourses:
         return {}
 
     def _cell_of(self, number: int) -> Cell:
+        """Return the cell of a number, found from the points next to its centre; kept once found.
+        """
         if len(self._centres) == 1:
             return self._spread_cell
         if number not in self._cells:

@@ -79,6 +79,7 @@ class Residuals(tuple[Residual, ...], Framed):
         return self.ground
 
     def _columns(self) -> dict[str, list[Any]]:
+        """Return the fields of all residuals as columns, by name."""
         columns: dict[str, list[Any]] = {}
         for member in fields(Residual):
             columns[member.name] = [getattr(residual, member.name) for residual in self]

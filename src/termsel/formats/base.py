@@ -384,6 +384,7 @@ def read_once(path: Path) -> Iterator[Path]:
 
 
 def _unreadable(path: Path, error: OSError) -> TermselError:
+    """Return the error for a file that does not exist or cannot be read."""
     if isinstance(error, FileNotFoundError):
         return no_such_file(path)
     return TermselError(f"cannot read this file: {error.strerror or error}", file=path,

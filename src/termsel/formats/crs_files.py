@@ -86,6 +86,7 @@ def _crs_of_file(path: Path) -> str:
 
 
 def _crs_of_text(path: Path) -> str:
+    """Return the CRS in a text file; raises TermselError if it is empty or no CRS."""
     # WKT may be written over many lines.
     text = " ".join(read_text(path).split())
     if not text:

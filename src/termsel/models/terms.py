@@ -116,6 +116,7 @@ class Term:
 
 @lru_cache(maxsize=1024)
 def _parse_term(text: str) -> Term:
+    """Return the term of a name such as "line.num:X2Y"; other text is a label for both axes."""
     match = _TERM_NAME.fullmatch(text)
     assert match is not None  # the pattern takes any text
     axis, kind, column = match.groups()

@@ -263,6 +263,7 @@ def hooks_in_source(point: EntryPoint) -> Callable[[str], bool]:
         return "" if point.attr else _source(point.module)
 
     def may_have(hook: str) -> bool:
+        """Return whether a module may implement a hook, judged by its source without an import."""
         # A hook can only be left out where the source of the module is there and takes no names
         # from elsewhere by ``*``. A source without names of hooks may make them, yet only those
         # that are asked for by name: every run would wait for the others.
@@ -333,6 +334,7 @@ def _name_of(distribution: Distribution) -> str:
 
 
 def _plugin_of(point: EntryPoint) -> Plugin:
+    """Return the plugin of an entry point, with its distribution and version if it has one."""
     if point.dist is None:  # made by hand, not found in a distribution
         return Plugin(point.name, canonical(point.module), "")
     name, version, requires = _distribution_names(point.dist)
@@ -494,6 +496,7 @@ def _finish_wrapper(running: Generator[None, Any, Any], inner: Any) -> list[list
 
 
 def _call_hook(implementation: pluggy.HookImpl, plugin: Plugin, arguments: Arguments) -> Any:
+    """Return the value of a hook, called with the arguments it names, made for this plugin."""
     # Made for each plugin by itself, so that none changes what another one gets.
     return implementation.function(
         *(arguments[name](plugin) for name in implementation.argnames),

@@ -101,6 +101,7 @@ def _first_picture(view: View | None, picture: str) -> Iterator[Block]:
 
 
 def _fitted_in(record: Record) -> Iterator[Block]:
+    """Yield a detail on the CRS of the fit, if it is another than that of the data."""
     data = record.data
     if data.fit_crs != data.crs:
         yield Detail(f"Fitted in {data.fit_crs}; coordinates are given in {data.crs}, heights "
@@ -378,6 +379,7 @@ def _answer_on_weak_places(view: View | None) -> Iterator[Block]:
 
 
 def _made_by(record: Record) -> str:
+    """Return a line on model, method, seed and version of a result."""
     strategy = record.strategy
     by = f"strategy {strategy.name}" if strategy else \
         f"solver {record.solver}, criterion {record.criterion}"

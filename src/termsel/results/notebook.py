@@ -39,6 +39,8 @@ def offline(chart: Any) -> Any:
 def _offline(kind: Any) -> type:
     """Return the class of a chart that notebooks show without a connection."""
     def bundle(self: Any, *args: Any, **kwds: Any) -> Any:
+        """Return an object's chart as HTML and text, or by the Altair renderer that the user chose.
+        """
         # Who has chosen a renderer of Altair gets that.
         if require_altair().renderers.active != "default" or find_spec("vl_convert") is None:
             return kind._repr_mimebundle_(self, *args, **kwds)

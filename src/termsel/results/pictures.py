@@ -124,6 +124,7 @@ def _undrawn(why: str) -> TermselError:
 
 @cache
 def _helper() -> Helper:
+    """Return the process that draws charts, which ends with this one."""
     helper = Helper(_DRAWING)
     # The process ends with this one, whatever it is doing.
     atexit.register(helper.end)

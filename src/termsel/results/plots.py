@@ -63,6 +63,7 @@ def _front(view: View) -> Any:
 
 
 def _linked(first: Any, second: Any) -> Any:
+    """Return two charts side by side, without the warning that links them."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Automatically deduplicated")  # which links the two
         return require_altair().hconcat(first, second).resolve_scale(

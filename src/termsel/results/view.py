@@ -289,6 +289,7 @@ class View:
         return [residuals_of(fitted, roles) for fitted in self.fits_of_front()]
 
     def _named(self, r: Residual) -> Row:
+        """Return id, kind, role, blunder and distance [px] of a residual, as charts need them."""
         left_out = r.role in ("control", "off") and not r.used
         return {"id": r.id, "kind": "point" if r.kind == "point" else "line",
                 "role": ("rejected" if r.blunder else "left out") if left_out else r.role,

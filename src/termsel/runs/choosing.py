@@ -346,6 +346,7 @@ def _high(verdict: Verdict) -> list[str]:
 
 
 def _lines(fitted: Fit) -> list[str]:
+    """Return a note that no line is in use; [] if some are, or there are none."""
     lines = len(fitted.control.lines.features)
     if not lines or fitted.used[len(fitted.control.points):].any():
         return []

@@ -350,6 +350,7 @@ def _note_on_twins(points: Points, independent: Points) -> Iterator[str]:
 
 
 def _list_in_words(id_groups: list[tuple[str, ...]]) -> str:
+    """Return groups of ids in words, up to MAX_GROUPS_NAMED of them."""
     texts = ", ".join(" and ".join(group) for group in id_groups[:MAX_GROUPS_NAMED])
     if len(id_groups) <= MAX_GROUPS_NAMED:
         return texts

@@ -355,6 +355,7 @@ def _meet(station: FloatArray, ray: FloatArray, height: FloatArray) -> FloatArra
 
 
 def _columns(values: ArrayLike, width: int, kind: str) -> FloatArray:
+    """Return coordinates as an array (n, width); raises TermselError for another shape."""
     array = np.asarray(values, dtype=np.float64)
     if array.ndim != 2 or array.shape[1] != width:
         raise TermselError(f"{kind} coordinates have shape {array.shape}, expected (n, {width})")

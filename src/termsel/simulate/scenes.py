@@ -157,6 +157,7 @@ def scene_truth(
 
 
 def _scene(name: str) -> Scene:
+    """Return the scene of a name; raises TermselError if it does not exist."""
     scenes = {**SCENES, **OTHERS}
     if name not in scenes:
         raise unknown_name("simulated scene", name, scenes)
@@ -231,6 +232,7 @@ def _ground_positions(name: str, image: FloatArray) -> FloatArray:
 
 
 def _role_counts(scene: Scene, count: int) -> tuple[int, int, int]:
+    """Return how many points are control, selection and independent, a third each by default."""
     if count == sum(scene.roles):
         return scene.roles
     third, remainder = divmod(count, 3)

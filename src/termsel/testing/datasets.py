@@ -49,6 +49,7 @@ SUITE = Suite((declares("datasets"), loads_features, ground_in_crs, alike_each_t
 
 
 def _loaded(spec: DatasetSpec) -> FeatureSet:
+    """Return the features of a data set; raises AssertionError if it loads others than these."""
     features = spec.load()
     # `pickled` takes the features there and back, as on their way to another process.
     require(isinstance(features, FeatureSet),

@@ -214,6 +214,7 @@ def fit(model: SensorModel) -> None:
 
 def _require_recovered(model: SensorModel, features: FeatureSet, truth: FloatArray,
                        ground: FloatArray, kind: str) -> None:
+    """Require that a model, fitted to its own features, projects as with the true coefficients."""
     error = np.abs(fitted(model, features, ground) - model.project(truth, ground)).max()
     require(error <= EXACT,
             f"fitted to {kind} without noise that project() gave, it misses other points by "

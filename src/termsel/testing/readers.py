@@ -157,6 +157,7 @@ def _put(example: Example, folder: str, content: bytes) -> Path:
 
 
 def _noise() -> list[tuple[bytes, str]]:
+    """Return bytes without any meaning, the same in every run, with their description."""
     # The same bytes in every run.
     rng = np.random.default_rng(1)
     return [(rng.bytes(n), f"{n} random bytes") for n in (1, 16, 1000, 20000)] + [

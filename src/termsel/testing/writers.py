@@ -179,6 +179,7 @@ def _refused(export: Export, result: Result, path: Path, description: str) -> No
 
 
 def _require_old(path: Path, description: str) -> None:
+    """Require that the earlier file is unchanged, and no other file is beside it."""
     require(path.read_bytes() == OLD,
             f"after {description} the file that was there before is lost; write through "
             "termsel.core.files.atomic")

@@ -42,6 +42,7 @@ def remote_option(command: Command) -> Command:
 
 
 def _allow(context: click.Context, parameter: click.Parameter, is_given: bool) -> None:  # noqa: ARG001
+    """Allow remote files for the time of the command, if the option is given."""
     # While a shell completes words nothing is run, and nothing need be allowed.
     if is_given and not context.resilient_parsing:
         from termsel.core.files.drivers import allow_remote as allowed
@@ -51,6 +52,7 @@ def _allow(context: click.Context, parameter: click.Parameter, is_given: bool) -
 
 def _allow_drivers(context: click.Context, parameter: click.Parameter,  # noqa: ARG001
                    names: tuple[str, ...]) -> None:
+    """Allow further drivers of GDAL for the time of the command, if any are named."""
     if names and not context.resilient_parsing:
         from termsel.core.files.drivers import allow_driver as allowed
 

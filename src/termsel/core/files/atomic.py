@@ -66,6 +66,7 @@ def sync(path: Path) -> None:
 
 
 def _sync(path: Path, mode: int) -> None:
+    """Wait until a file or folder is on the disk."""
     descriptor = os.open(path, mode)
     try:
         os.fsync(descriptor)
@@ -119,6 +120,7 @@ def new_folder(folder: Path) -> Iterator[Path]:
 
 
 def _made(parent: Path) -> Path:
+    """Make a private folder with a name of this process in a folder, and return it."""
     _remove_left(parent)  # processes that were killed leave theirs behind
     folder = parent / f"{_PREFIX}{_here()}-{os.getpid()}-{secrets.token_hex(6)}"
     folder.mkdir(mode=0o700)

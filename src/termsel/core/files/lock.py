@@ -138,6 +138,7 @@ def _unwritable(folder: Path, error: OSError) -> TermselError:
 
 
 def _is_at(file: FileIO, path: Path) -> bool:
+    """Return whether an open file is the one that a path names now."""
     try:
         return os.path.samestat(os.fstat(file.fileno()), path.stat())
     except FileNotFoundError:

@@ -73,6 +73,7 @@ def require_regular(path: Path, named_by: object = None) -> None:
 
 
 def _kind(path: Path) -> int | None:
+    """Return the type of a file as stat has it, such as S_IFREG; None if it cannot be looked at."""
     try:
         return stat.S_IFMT(path.stat().st_mode)
     except OSError:  # whoever opens it says why
@@ -123,6 +124,7 @@ def refuse_links(folder: Path) -> None:
 
 
 def _linked(path: Path) -> TermselError:
+    """Return the error for a link in the folder of a result, study or block."""
     return TermselError("this is a link, and in the folder of a result, study or block no link is "
                         "followed", file=path,
                         hint="Remove it, or choose another --out. A link whose name you type "
@@ -195,6 +197,7 @@ def utf8_folder(folder: Path) -> Iterator[Path]:
 
 
 def _is_utf8(path: Path) -> bool:
+    """Return whether the absolute name of a file can be encoded in UTF-8."""
     try:
         str(path.absolute()).encode()
     except UnicodeEncodeError:

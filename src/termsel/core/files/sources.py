@@ -515,6 +515,7 @@ def _is_known(path: Path, head: bytes) -> bool:
 
 @cache
 def _cached_entries(folder: str, changed: int) -> tuple[str, ...]:  # noqa: ARG001 (a key alone)
+    """Return the names in a folder; () if it cannot be read. `changed` renews the cache."""
     try:
         return tuple(os.listdir(folder))
     except OSError:

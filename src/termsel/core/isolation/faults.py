@@ -79,6 +79,7 @@ def surroundings_kept() -> Iterator[None]:
 
 
 def _folder() -> str | None:
+    """Return the working folder; None if it was deleted."""
     try:
         return os.getcwd()
     except OSError:  # it was deleted

@@ -133,6 +133,7 @@ class Helper:
             child.communicate()
 
     def _start_if_needed(self) -> subprocess.Popen[bytes]:
+        """Start the process, which asks for modules in no folder that a user did not name."""
         # Not by PYTHONPATH: Python itself would look for a sitecustomize.py there as it starts.
         first = f"import sys; sys.path[:] = {safe_path()!r}\n"
         return subprocess.Popen([sys.executable, "-P", "-c", first + self._code],

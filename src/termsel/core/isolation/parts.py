@@ -125,6 +125,7 @@ SET = "--set"
 
 
 def _is_installed(package: str) -> bool:
+    """Return whether a distribution is installed."""
     try:
         distribution(package)
     except PackageNotFoundError:

@@ -53,6 +53,7 @@ def plain(record_part: Any) -> dict[str, Any]:
 
 
 def _as_json(value: Any) -> Any:
+    """Return a value as JSON can hold it: lists for tuples, None for NaN and infinity."""
     # Not by msgspec's own JSON, which takes no text, as of file names, that is not UTF-8.
     if isinstance(value, dict):
         return {key: _as_json(item) for key, item in value.items()}

@@ -450,6 +450,7 @@ def _names(kind: type) -> tuple[str, ...]:
 
 
 def _rows_at(value: Any, rows: NDArray[np.intp]) -> Any:
+    """Return some rows of a tuple, an array or attributes; None of None."""
     if isinstance(value, tuple):  # of a thousand points names are asked for many times
         return tuple(map(value.__getitem__, rows.tolist()))
     return rows_at(value, rows) if isinstance(value, Mapping) else \

@@ -226,6 +226,7 @@ def sigma_map(view: View) -> Any:
 
 
 def _map(layers: list[Any], aspect: float) -> Any:
+    """Return layers as one chart of an aspect, width by height, at most WIDEST."""
     # A strip of one orbit may be a hundred times as long as wide; on the map it is cut to three.
     aspect = min(max(aspect, 0.4), WIDEST)
     wide = WIDTH if aspect >= 0.9 else WIDTH * aspect / 0.9
@@ -344,6 +345,7 @@ def _with_field(channel: Any, field: str) -> Any:
 
 
 def _roles(view: View, rows: list[Row]) -> set[str]:
+    """Return the roles that a map shows, "left out" among them if members of a front differ."""
     present = {row["role"] for row in (*rows, *view.lines)}
     # Of members of a front, control points in use by some are left out by others.
     if any(0 in row.get("uses", ()) and row["role"] == "control" for row in rows):

@@ -287,6 +287,7 @@ class ScoreSystems:
         return limits.offset + float(((errors[n, :check_points] / denominators) ** 2).sum())
 
     def _space(self, vectors: Vectors) -> CheckSpace:
+        """Return the work space of vectors at check points."""
         depths, _, height, _ = vectors.top.shape
         # Without denominators U and tau are 1.
         upper = self._largest if self.kind == RATIONAL else np.ones(vectors.extra.shape[3] + 1)

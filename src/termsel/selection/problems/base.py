@@ -162,6 +162,7 @@ def _parts_fault(_problem: Problem, value: Any) -> str | None:
 
 
 def _moves_fault(problem: Problem, value: Any, *_args: Any) -> str | None:
+    """Return how the genes of moves are at fault; None if they are not."""
     if fault := problem.genome.fault(value):
         return f"yields {fault}"
     return None if problem.genome.keeps(value).all() else (

@@ -236,6 +236,7 @@ def _slices(sizes: Iterable[tuple[str, int]]) -> dict[str, slice]:
 
 
 def _dtype(segments: Iterable[AnySegment]) -> np.dtype[Any]:
+    """Return the dtype that holds all segments: bool, whole or real numbers."""
     # The widest of them holds all: bits, whole numbers, real numbers.
     kinds = {s.dtype for s in segments}
     return np.dtype(np.float64 if np.float64 in kinds else

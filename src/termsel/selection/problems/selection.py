@@ -257,6 +257,8 @@ class SelectionProblem(Problem):
         return Evaluation(self._all_objectives(score, terms, features), violation)
 
     def _lacking_spread(self, features: BoolArray | None) -> FloatArray | float:
+        """Return how far the uncovered share of the image exceeds its limit, (p,); 0.0 without one.
+        """
         max_uncovered = self.inputs.options.get("max_uncovered")
         if features is None or max_uncovered is None:
             return 0.0

@@ -110,6 +110,7 @@ class Patience:
         return self.idle >= self.generations
 
     def _has_gained(self, ledger: Ledger) -> bool:
+        """Return whether any objective fell by more than the tolerance since `least`."""
         assert self.least is not None
         # Infinite until an individual is feasible: the first such one is a gain, whatever it has.
         reached = np.isfinite(self.least)

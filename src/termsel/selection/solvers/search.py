@@ -367,6 +367,7 @@ def _require_declared(problem: Problem) -> None:
 
 
 def _until_spent(running: Iterator[Generation]) -> Generator[Generation]:
+    """Yield generations until the budget is spent."""
     try:
         yield from running
     except BudgetSpent:

@@ -166,6 +166,7 @@ class Journal:
         self._end += len(line)
 
     def _unwritable(self, error: OSError) -> TermselError:
+        """Return the error for a journal that cannot be written, and how to go on."""
         return TermselError(
             f"cannot write the journal: {error.strerror or error}", file=self.path,
             hint=f"{counted(len(self.records), 'finished run')} are kept. Make space, then repeat "

@@ -152,6 +152,7 @@ def _readable(value: Any) -> Any:
 
 
 def _cell(value: Any) -> Any:
+    """Return a value as a cell of CSV: "" for None and NaN, lists with semicolons."""
     # NaN of a figure that has no meaning is a blank cell, too.
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
         return ""

@@ -115,6 +115,7 @@ class _Reader:
         return names
 
     def _pair(self, table: Path) -> None:
+        """Note the place of a key in a table, and of its value, and move past them."""
         position = self._tokens[self._at][2]
         path = (*table, *self._key())
         self.known[path] = position

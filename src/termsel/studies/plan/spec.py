@@ -277,6 +277,7 @@ def _table(at: Places, path: Keys, value: Any) -> Mapping[str, Any]:
 
 
 def _options(at: Places, path: Keys, table: Any) -> dict[str, Any]:
+    """Return the options in a table; raises TermselError for one that is a list or a table."""
     for key, value in _table(at, path, table).items():
         if not isinstance(value, str | int | float | bool):
             raise at.error((*path, key), f"the option {key} is neither text, number nor true or "

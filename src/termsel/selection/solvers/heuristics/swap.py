@@ -185,6 +185,7 @@ def _combine_best_changes(problem: Problem, genes: Genes, evaluation: Evaluation
 
 def _better(genes: Genes, evaluation: Evaluation, other_genes: Genes,
             other_evaluation: Evaluation) -> tuple[Genes, Evaluation]:
+    """Return the better of two individuals with its evaluation; the first of equals."""
     if _rank(other_evaluation) < _rank(evaluation):
         return other_genes, other_evaluation
     return genes, evaluation

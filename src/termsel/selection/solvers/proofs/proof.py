@@ -159,6 +159,7 @@ class Proof:
         return proofs
 
     def _genes(self, sizes: list[int]) -> BoolArray:
+        """Return the genes (size,) of the best subsets of some sizes, one for each part."""
         genes = np.zeros(self.size, dtype=bool)
         for subproblem, result, size in zip(self.parts, self.results, sizes, strict=True):
             genes[subproblem.genes] = result.columns(size)
