@@ -108,7 +108,8 @@ def test_what_must_be_better_by_how_much(noise: float, cubic: float, dlt: float,
     squares = {"regularised-quadratic": one, "regularised-cubic": one * gain_of(cubic),
                "dlt": one * gain_of(dlt), "quadratic": 0.1 * one}
     # The quadratic one is contained in the shrunken one, so that it cannot win.
-    monkeypatch.setattr(Method, "tried", lambda method, _: method.name in squares)
+    for kind in (Method, Structure):
+        monkeypatch.setattr(kind, "tried", lambda method, _: method.name in squares)
     fit = Structure.fit
     monkeypatch.setattr(Structure, "fit", lambda method, data: replace(
         fit(method, data), stored_held_out=HeldOut(squares[method.name])))
@@ -178,8 +179,10 @@ def test_a_baseline_without_redundancy_has_no_figures(n: int, determined: bool) 
 
 def test_ebic_keeps_a_third_of_the_equations() -> None:
     rss, k, one = np.ones(4), np.array([1, 20, 21, 30]), np.ones(4, dtype=np.intp)
-    assert np.isfinite(Ebic()._of(rss, 30, k, 5, one)).tolist() == [True, True, False, False]
-    kept = Ebic(min_redundancy=1)._of(rss, 30, np.array([1, 28, 29, 30]), 5, one)
+    usual = Ebic()._criterion_of_system(rss, 30, k, 5, one)
+    assert np.isfinite(usual).tolist() == [True, True, False, False]
+    nearly_all = np.array([1, 28, 29, 30])
+    kept = Ebic(min_redundancy=1)._criterion_of_system(rss, 30, nearly_all, 5, one)
     assert np.isfinite(kept).tolist() == [True, True, True, False]
 
 

@@ -34,7 +34,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from termsel.data.features import FloatArray, IntArray, Points
 from termsel.fitting.misfit import (
@@ -167,6 +166,8 @@ class LocalCourses:
     def squares(self, ground: FloatArray, image: FloatArray) -> FloatArray:
         """Return the mean square errors, (m, 2), of a model that sees places in the image."""
         positions = _affine(ground) @ self.to_image
+        from scipy.spatial import cKDTree  # only now, as it takes long to import
+
         total = np.full((len(ground), 2), np.nan)
         finite = np.isfinite(positions).all(axis=1)
         number_of_cell = np.full(len(ground), -1)
