@@ -141,7 +141,7 @@ def test_a_package_of_several_kinds(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 @pytest.mark.parametrize(("kinds", "said"), [
     ("solver,solver", "names a kind twice"), ("solver,modle", "unknown kind of plugin 'modle'"),
-    ("", "a comma without a kind"), ("solver,", "a comma without a kind")])
+    ("", "leaves a kind blank"), ("solver,", "leaves a kind blank")])
 def test_kinds_that_there_are_not_are_refused(kinds: str, said: str, tmp_path: Path,
                                               call: Callable[..., SimpleNamespace]) -> None:
     done = call("new-plugin", "termsel-two", "--kind", kinds, "--into", tmp_path)

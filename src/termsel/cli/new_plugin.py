@@ -90,7 +90,7 @@ def package(name: str, *kinds: str) -> dict[str, str]:
     """
     for kind in kinds:
         if not kind:
-            raise TermselError("--kind has a comma without a kind beside it",
+            raise TermselError("--kind leaves a kind blank",
                                hint="Name kinds as in --kind model,solver.")
         if kind not in NEW_KINDS:
             raise unknown_name("kind of plugin", kind, NEW_KINDS)
