@@ -11,7 +11,7 @@ from termsel.adjustment.compiled import LazyKernel
 from termsel.adjustment.numba_settings import import_numba
 
 
-def _fused() -> Any:
+def _fused_intrinsic() -> Any:
     """Return code for kernels that is called as fused(a, b, c)."""
     import_numba()
     import numba
@@ -29,4 +29,4 @@ def _fused() -> Any:
     return intrinsic(fused)
 
 
-fused = LazyKernel(_fused)
+fused = LazyKernel(_fused_intrinsic)

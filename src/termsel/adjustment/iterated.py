@@ -68,7 +68,8 @@ def least_distances(quotients: Quotients, systems: tuple[IndependentPart, ...], 
         x = solution[:, columns]
         active = np.arange(len(terms))
         for _ in range(ITERATIONS):
-            step, gain, before = _steps(distances, prior, system_terms[active], x[active], active)
+            step, gain, before = _newton_steps(distances, prior, system_terms[active], x[active],
+                                               active)
             # The length of Q'v is what a full step would take from the residuals.
             worthwhile = gain > MIN_STEP_GAIN * np.sqrt(before)
             active = active[worthwhile]
@@ -91,8 +92,8 @@ def least_distances(quotients: Quotients, systems: tuple[IndependentPart, ...], 
     return solution
 
 
-def _steps(system: Quotients, prior: FloatArray | None, terms: BoolArray, x: FloatArray,
-           active: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _newton_steps(system: Quotients, prior: FloatArray | None, terms: BoolArray, x: FloatArray,
+                  active: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return full steps (p, k), the norms that they take from the distances (p,), and squares (p,).
 
     The steps of selections beyond a pole, or with dependent columns, are 0.

@@ -166,7 +166,7 @@ def _regularised_majority(control: FitData, sampled: IntArray,
     points = data.scaled.points
     quadratic = monomials(points.ground, polynomial_of(data.heights, 2).exponents)
     # What errors blunders have is told by those that all points leave.
-    distances = _errors(quadratic, points.image, np.ones(len(data), dtype=bool))
+    distances = _distances_from_fit(quadratic, points.image, np.ones(len(data), dtype=bool))
     distances *= data.scaling.image_scale
     # Features that are taken keep the order of all; halves have that of the sample.
     order = np.argsort(sampled)
@@ -274,7 +274,7 @@ def _concentrate_half(design: FloatArray, image: FloatArray,
     n = len(design)
     least = np.inf
     for _ in range(STEPS):
-        squares = _errors(design, image, half) ** 2
+        squares = _distances_from_fit(design, image, half) ** 2
         closest = np.argsort(squares, kind="stable")[:(n + 1) // 2]
         trimmed = float(squares[closest].sum())
         if trimmed >= least:
@@ -322,7 +322,7 @@ def _noise_and_strains(design: FloatArray, image: FloatArray, used: BoolArray) -
     have a noise that is uncertain: the limit is Student's, as improbable as AGREEING_STRAIN of
     normal errors.
     """
-    errors = _errors(design, image, used)
+    errors = _distances_from_fit(design, image, used)
     freedom = 2 * max(int(used.sum()) - design.shape[1], 1)
     part = float(used.mean())
     share = 1.0 if part == 1.0 else 1.0 + (1.0 - part) * np.log(1.0 - part) / part
@@ -334,7 +334,7 @@ def _noise_and_strains(design: FloatArray, image: FloatArray, used: BoolArray) -
     return noise, errors / (limit * np.maximum(noise, 1e-12) * np.sqrt(variance))
 
 
-def _errors(design: FloatArray, image: FloatArray, used: BoolArray) -> FloatArray:
+def _distances_from_fit(design: FloatArray, image: FloatArray, used: BoolArray) -> FloatArray:
     """Return the distance of each point (n,) from the polynomial of some."""
     return np.asarray(np.linalg.norm(_residuals(design, image, used), axis=1))
 

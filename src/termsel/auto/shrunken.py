@@ -190,7 +190,7 @@ class RidgeByOrder(Estimator):
         plain = LeastSquares(iterated=False).fit(model, control, scaling, terms, used)
         coefficients = np.zeros(len(terms))
         trace = 0.0
-        weights = np.array([_weight(name) for name in model.terms])
+        weights = np.array([_weight_of_term(name) for name in model.terms])
         for system in independent_parts(plain.model.equations(plain.scaled_control), model.axis):
             rows = used[system.equations.feature]
             selected = terms & system.columns
@@ -201,7 +201,7 @@ class RidgeByOrder(Estimator):
         return plain.with_coefficients(coefficients, self, trace)
 
 
-def _weight(name: str) -> float:
+def _weight_of_term(name: str) -> float:
     """Return the weight of a term by its name, such as "line.den:X2Y"."""
     term = Term.parse(name)
     return float(term.order if term.is_denominator else max(term.order - 1, 0))

@@ -163,7 +163,8 @@ def _study_asked_for(files: tuple[Path, ...], options: dict[str, Any]) -> tuple[
         raise TermselError("there are two study files", hint="Give one study file at a time.")
     if files and keys:
         # A study is one file that says everything: an option beside it would not be in its record.
-        raise TermselError(f"{files[0]} and the option --{_first(options)} exclude each other",
+        raise TermselError(f"{files[0]} and the option --{_first_option(options)} exclude each "
+                           "other",
                            hint=f"Write it into {files[0]}, which says all of a study, or leave "
                                 f"{files[0]} out.")
     if not files and not keys:
@@ -172,7 +173,7 @@ def _study_asked_for(files: tuple[Path, ...], options: dict[str, Any]) -> tuple[
     return (files[0] if files else None), keys
 
 
-def _first(options: dict[str, Any]) -> str:
+def _first_option(options: dict[str, Any]) -> str:
     # Of empty options, click gives None, and an empty tuple where one may be repeated.
     return next("set" if name == "settings" else name for name, value in options.items()
                 if value not in (None, ()))

@@ -139,7 +139,7 @@ def _describe_problem(entry: Entry) -> None:
         "ends after": ", or ".join(rule.format(n) for rule, n in rules.items() if n) or
                       "the budget of every search",
         "control": recipe.control, "source": recipe.source})
-    _options([*recipe.options, *_options_of_prepared_problem(recipe)])
+    _print_options([*recipe.options, *_options_of_prepared_problem(recipe)])
     echo("\nOptions of the data: termsel describe data. Model, solver and criterion have their own "
          "options, too: termsel describe NAME.")
 
@@ -164,9 +164,9 @@ def _settings(options: Mapping[str, Any]) -> str:
 
 def _describe_model(entry: Entry) -> None:
     """Print the needs of a model, its options and its terms."""
-    _document(entry)
+    _print_docstring(entry)
     _pairs({"heights": "required" if entry.object.uses_height else "not used"})
-    _options(entry.object.declared_options)
+    _print_options(entry.object.declared_options)
     try:
         # Terms at other options are others: only those of the defaults can be listed.
         terms = entry.object().terms
@@ -179,7 +179,7 @@ def _describe_model(entry: Entry) -> None:
 
 def _describe_solver(entry: Entry) -> None:
     """Print the abilities of a solver, its options, and how it departs from its paper."""
-    _document(entry)
+    _print_docstring(entry)
     from termsel.selection.solvers.budget import EVALUATIONS, SEARCH_OPTIONS
 
     solver = entry.object
@@ -193,14 +193,14 @@ def _describe_solver(entry: Entry) -> None:
         echo("\nDifferences from the paper:")
         for departure in solver.departures:
             echo(click.wrap_text(departure, 88, "- ", "  "))
-    _options(solver.declared_options)
+    _print_options(solver.declared_options)
     echo("\nOptions of every search:")
     _option_table(SEARCH_OPTIONS)
 
 
 def _describe_criterion(entry: Entry) -> None:
-    _document(entry)
-    _options(entry.object.declared_options)
+    _print_docstring(entry)
+    _print_options(entry.object.declared_options)
 
 
 def _describe_function(entry: Entry) -> None:
@@ -245,10 +245,10 @@ def _describe_dataset(entry: Entry) -> None:
 
 def _describe_format(entry: Entry) -> None:
     """Print the description of a reader or writer, its needs and its options."""
-    _document(entry)
+    _print_docstring(entry)
     if needs := getattr(entry.object, "needs", ""):
         _pairs({"needs": needs})
-    _options(getattr(entry.object, "declared_options", ()))
+    _print_options(getattr(entry.object, "declared_options", ()))
 
 
 _DESCRIBE: dict[str, Callable[[Entry], None]] = {
@@ -258,7 +258,7 @@ _DESCRIBE: dict[str, Callable[[Entry], None]] = {
     "methods": _describe_method, "datasets": _describe_dataset}
 
 
-def _document(entry: Entry) -> None:
+def _print_docstring(entry: Entry) -> None:
     """Print the docstring of a class without its first paragraph, the summary."""
     thing = entry.object
     # Methods and criteria are objects, models and solvers classes.
@@ -286,7 +286,7 @@ def _pairs(values: dict[str, Any]) -> None:
         echo(f"{key.capitalize() + ':':{width + 2}}{value}")
 
 
-def _options(options: Iterable[Option]) -> None:
+def _print_options(options: Iterable[Option]) -> None:
     """Print a table of options, or that there are none."""
     options = tuple(options)
     if not options:

@@ -113,15 +113,15 @@ def package(name: str, *kinds: str) -> dict[str, str]:
         "POINTS": "".join(f'{names[kind]} = "{modules[kind]}"\n' for kind in kinds),
         "DESCRIBED": "\n".join(f"termsel describe {names[kind]}" for kind in kinds),
         "USE": "\n\n".join(_USE[kind].format(name=names[kind]) for kind in kinds)}
-    package_files = {file: _filled(file, words) for file in ("pyproject.toml", "build_wheel.py",
-                                                     "README.md")}
+    package_files = {file: _fill_words(file, words) for file in ("pyproject.toml", "build_wheel.py",
+                                                         "README.md")}
     for kind in kinds:
         words_of_kind = {**words, "MODULE": modules[kind], "NAME": names[kind],
                "TITLE": f"The {titles[kind]}",
                "CLASS": "".join(syllable.capitalize() for syllable in names[kind].split("-"))}
-        package_files[f"{modules[kind]}.py"] = _filled(f"{kind}.py", words_of_kind)
+        package_files[f"{modules[kind]}.py"] = _fill_words(f"{kind}.py", words_of_kind)
         file = f"test_{modules[kind]}.py"
-        package_files[f"tests/{file}"] = _filled(f"{kind}_test.py", words_of_kind)
+        package_files[f"tests/{file}"] = _fill_words(f"{kind}_test.py", words_of_kind)
     return package_files
 
 
@@ -129,7 +129,7 @@ def _word(kind: str) -> str:
     return "data set" if kind == "dataset" else kind
 
 
-def _filled(source: str, words: dict[str, str]) -> str:
+def _fill_words(source: str, words: dict[str, str]) -> str:
     text = (files("termsel.cli") / "skeletons" / f"{source}.txt").read_text(encoding="utf-8")
     return re.sub(r"@([A-Z]+)@", lambda mark: words[mark[1]], text)
 

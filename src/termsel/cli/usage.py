@@ -25,7 +25,7 @@ def usage_message(error: click.ClickException) -> str:
     """
     path = error.ctx.command_path if isinstance(error, click.UsageError) and error.ctx else ""
     if isinstance(error, click.MissingParameter):
-        lines = _missing(error)
+        lines = _lines_on_missing(error)
     elif isinstance(error, click.NoSuchOption):
         lines = [_no_such_option(error)]
     elif isinstance(error, click.BadOptionUsage):
@@ -38,7 +38,7 @@ def usage_message(error: click.ClickException) -> str:
     return "\n".join([f"Error: {lines[0]}", *lines[1:], *more])
 
 
-def _missing(error: click.MissingParameter) -> list[str]:
+def _lines_on_missing(error: click.MissingParameter) -> list[str]:
     """Return lines on a missing option or argument, with an example of the command."""
     param = error.param
     if param is None or error.ctx is None:

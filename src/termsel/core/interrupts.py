@@ -62,7 +62,7 @@ def watch() -> None:
     signal.signal(signal.SIGINT, _interrupt)
     if sys.platform != "win32":
         signal.signal(signal.SIGALRM, _interrupt)
-    sys.unraisablehook = _not_raised
+    sys.unraisablehook = _print_unraisable
 
 
 def _interrupt(_number: int, _frame: FrameType | None) -> None:
@@ -71,7 +71,7 @@ def _interrupt(_number: int, _frame: FrameType | None) -> None:
     raise KeyboardInterrupt
 
 
-def _not_raised(unraisable: sys.UnraisableHookArgs) -> None:
+def _print_unraisable(unraisable: sys.UnraisableHookArgs) -> None:
     """Print an error that Python cannot raise, except an interrupt, which comes again."""
     if unraisable.exc_type is not KeyboardInterrupt:
         sys.__unraisablehook__(unraisable)

@@ -158,7 +158,7 @@ def off_plane(control: FitData, ground: FloatArray) -> tuple[FloatArray, FloatAr
     """
     none = np.zeros(len(ground))
     carrying = () if control.features.without_height() else carriers(control)
-    if not carrying or not np.isfinite(_effect(control)):
+    if not carrying or not np.isfinite(_effect_of_height(control)):
         return none, none
     (plane, z, owner) = _vertices(control)
     scaled = control.scaling.ground(ground)
@@ -167,7 +167,7 @@ def off_plane(control: FitData, ground: FloatArray) -> tuple[FloatArray, FloatAr
     # The plane through all vertices but those of carriers; of all where nothing else is there.
     fitted = _plane_at(scaled) @ np.linalg.lstsq(plane[keep], z[keep])[0]
     off = np.where(np.isnan(ground[:, 2]), 0.0, np.abs(scaled[:, 2] - fitted))
-    return off * control.scaling.ground_scale[2], off * _effects(control, scaled)
+    return off * control.scaling.ground_scale[2], off * _effects_of_height(control, scaled)
 
 
 def with_usual_heights(control: FitData, ground: FloatArray) -> FloatArray:
@@ -175,7 +175,7 @@ def with_usual_heights(control: FitData, ground: FloatArray) -> FloatArray:
 
     Unchanged where they are already, but for `OTHER`, and where a height is not known.
     """
-    if control.features.without_height() or not np.isfinite(_effect(control)):
+    if control.features.without_height() or not np.isfinite(_effect_of_height(control)):
         return ground
     (plane, z, _) = _vertices(control)
     scaled = control.scaling.ground(ground)
@@ -212,10 +212,10 @@ def _tell(off_plane_heights: FloatArray, effects: FloatArray, noise: float) -> b
 def _effects_and_noise(control: FitData) -> tuple[FloatArray, float]:
     """Return the effect of a scaled height of 1 at each vertex [px], (n,), and the noise [px]."""
     scaled = control.scaling.ground(control.features.ground_vertices())
-    return _effects(control, scaled), _noise(control)
+    return _effects_of_height(control, scaled), _noise_of_measurement(control)
 
 
-def _noise(control: FitData) -> float:
+def _noise_of_measurement(control: FitData) -> float:
     """Return the standard deviation of a measurement [px], or more where many points show it.
 
     They do so by what a quadratic polynomial or a view leaves, without the points that fit worst:
@@ -246,13 +246,13 @@ def _noise(control: FitData) -> float:
     return max(floor, noise * control.scaling.image_scale)
 
 
-def _effects(control: FitData, scaled: FloatArray) -> FloatArray:
+def _effects_of_height(control: FitData, scaled: FloatArray) -> FloatArray:
     """Return the deviation of the effect of a scaled height of 1 at scaled places [px], (n,).
 
     In an oblique view it is larger the nearer a place is to the camera.
     """
     view = _view(control)
-    effect = _effect(control)
+    effect = _effect_of_height(control)
     if view is None or not np.isfinite(effect):
         return np.full(len(scaled), effect)
     # Pixels by a metre on the ground, along X and Y; the larger of both is across the view.
@@ -266,7 +266,7 @@ def _view(control: FitData) -> CentralView | None:
     return view_of(control.scaled.points)
 
 
-def _effect(control: FitData) -> float:
+def _effect_of_height(control: FitData) -> float:
     """Return the standard deviation of the effect of a scaled height of 1 on the image [px].
 
     Infinite for geocentric coordinates, whose Z is no height.

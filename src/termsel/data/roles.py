@@ -60,7 +60,7 @@ def twins(ground: FloatArray, typical: FloatArray | None = None) -> IntArray:
     # Distances of twins in X, Y and Z are 1 in these units.
     unit = TWIN_DISTANCE * 2 * (high - low) * np.array([len(typical) ** -0.5] * 2 + [1.0])
     rounding = np.finfo(float).eps * np.abs(positions).max(axis=0)
-    pairs = _near(positions / np.maximum(unit, np.maximum(rounding, np.finfo(float).tiny)))
+    pairs = _pairs_nearby(positions / np.maximum(unit, np.maximum(rounding, np.finfo(float).tiny)))
     if not len(pairs):
         return np.arange(n, dtype=np.intp)
     from scipy.sparse import coo_array
@@ -71,7 +71,7 @@ def twins(ground: FloatArray, typical: FloatArray | None = None) -> IntArray:
     return np.asarray(connected_components(edges, directed=False)[1], dtype=np.intp)
 
 
-def _near(positions: FloatArray) -> IntArray:
+def _pairs_nearby(positions: FloatArray) -> IntArray:
     """Return the pairs of positions (n, 3) that are at most 1 apart, shape (p, 2)."""
     if len(positions) <= MAX_PAIRWISE_PLACES:
         # Squared distances of all pairs, each pair once above the diagonal.

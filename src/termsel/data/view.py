@@ -214,7 +214,7 @@ def _fitted_projection(columns: FloatArray, points: Points,
     matrix = _least_distances(columns, points.image)
     if matrix is None:
         return None
-    distances = np.linalg.norm(points.image - _seen(matrix, columns), axis=1)
+    distances = np.linalg.norm(points.image - _image_seen(matrix, columns), axis=1)
     unknown = 3 * matrix.shape[1] - 1
     sigma = float(np.sqrt((distances**2).sum() / (2 * len(distances) - unknown)))
     if not sigma < CLEARER * affine_sigma:
@@ -225,7 +225,7 @@ def _fitted_projection(columns: FloatArray, points: Points,
     best = np.argsort(distances)[:round(BEST * len(distances))]
     best_matrix = _least_distances(columns[best], points.image[best])
     if best_matrix is not None:
-        closest = points.image[best] - _seen(best_matrix, columns[best])
+        closest = points.image[best] - _image_seen(best_matrix, columns[best])
         noise = float(np.sqrt((closest**2).sum() / (closest.size - unknown)))
     return CentralView(matrix, points.ground, sigma, min(noise, sigma), sigma / affine_sigma)
 
@@ -252,13 +252,13 @@ def _least_distances(columns: FloatArray, image: FloatArray) -> FloatArray | Non
     matrix = matrix * np.sign(below.sum())
     if not (columns @ matrix[2] > 0.0).all():
         return None
-    residuals = image - _seen(matrix, columns)
+    residuals = image - _image_seen(matrix, columns)
     # From there to the least distances in the image, halving steps that do not gain.
     for _ in range(_STEPS):
-        step = _step(matrix, columns, residuals)
+        step = _gauss_newton_step(matrix, columns, residuals)
         for halving in range(_HALVINGS):
             trial = matrix + 0.5**halving * step
-            after = image - _seen(trial, columns)
+            after = image - _image_seen(trial, columns)
             if (columns @ trial[2] > 0.0).all() and (after**2).sum() < (residuals**2).sum():
                 break
         else:
@@ -271,9 +271,10 @@ def _least_distances(columns: FloatArray, image: FloatArray) -> FloatArray | Non
     return np.asarray(matrix)
 
 
-def _step(matrix: FloatArray, columns: FloatArray, residuals: FloatArray) -> FloatArray:
+def _gauss_newton_step(matrix: FloatArray, columns: FloatArray,
+                       residuals: FloatArray) -> FloatArray:
     """Return the Gauss-Newton step of a matrix, at right angles to it as its size is free."""
-    projected = _seen(matrix, columns)
+    projected = _image_seen(matrix, columns)
     below = columns @ matrix[2]
     # d(a p / d p) = (dp a - (a p / d p) dp d) / (d p), as a row of the design.
     by = columns / below[:, None]
@@ -285,6 +286,6 @@ def _step(matrix: FloatArray, columns: FloatArray, residuals: FloatArray) -> Flo
     return np.asarray(np.linalg.lstsq(design, right)[0].reshape(matrix.shape))
 
 
-def _seen(matrix: FloatArray, columns: FloatArray) -> FloatArray:
+def _image_seen(matrix: FloatArray, columns: FloatArray) -> FloatArray:
     line, sample, below = matrix @ columns.T
     return np.asarray(np.column_stack([line, sample]) / below[:, None])

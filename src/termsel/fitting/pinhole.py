@@ -402,7 +402,7 @@ def camera_of(measured: Measured) -> Pinhole | None:
 def cameras_of(measured: Measured) -> Cameras:
     """Return a few cameras that control points may support, the best first; or none."""
     everything = np.ones((1, len(measured.image)))
-    candidates = _starts(measured)
+    candidates = _starting_cameras(measured)
     costs = np.zeros(len(candidates))
     # Many starts for few steps, then the best for many: most starts lead to the same camera.
     for count, steps in ((_N_STARTS, _FIRST_STEPS), (_N_FURTHER, _STEPS)):
@@ -470,7 +470,7 @@ def _camera_points(scaled: FeatureSet, scaling: Scaling) -> Measured | None:
                     EXPECTED_FOCAL * half, unit, MIN_NOISE / scaling.image_scale)
 
 
-def _starts(measured: Measured) -> Cameras:
+def _starting_cameras(measured: Measured) -> Cameras:
     """Return the best of a grid of cameras that look from above at the points.
 
     f q1 = (line - l0) q3, likewise for samples, are linear in the shift.
@@ -478,7 +478,7 @@ def _starts(measured: Measured) -> Cameras:
     # A focal length that is known needs no others.
     focals = np.array(
         _FOCALS) / EXPECTED_FOCAL if measured.focal_spread == FOCAL_LOG_DEVIATION else np.ones(1)
-    rotation = np.concatenate([_grid(mirrored=_is_mirrored(measured))] * len(focals))
+    rotation = np.concatenate([_grid_of_rotations(mirrored=_is_mirrored(measured))] * len(focals))
     focal = np.repeat(focals * measured.focal, len(rotation) // len(focals))
     turned = measured.ground @ rotation.transpose(0, 2, 1)                     # (s, n, 3)
     offsets = measured.image - measured.middle
@@ -507,7 +507,7 @@ def _is_mirrored(measured: Measured) -> bool:
 
 
 @lru_cache(maxsize=2)
-def _grid(*, mirrored: bool) -> FloatArray:
+def _grid_of_rotations(*, mirrored: bool) -> FloatArray:
     """Return rotations of cameras that look down by some angle in all directions, (s, 3, 3)."""
     rotations = []
     # A grid that is finer than the steps converge from: 22.5 degrees in azimuth.

@@ -135,11 +135,11 @@ def closest_rpc(fitted: Fit, heights: tuple[float, float] | None = None) -> RpcF
         if worst <= (EXACT_PX if declared is None else GOOD):
             kind = "exact" if worst <= EXACT_PX else "its own"
             return RpcFit(rpc, kind, worst, rms, excluded_part)
-    low, high = heights or _heights(fitted)
-    image, ground = _grid(fitted, convert, _GRID_SIDE, np.linspace(low, high, _N_LEVELS))
+    low, high = heights or _range_of_heights(fitted)
+    image, ground = _grid_on_ground(fitted, convert, _GRID_SIDE, np.linspace(low, high, _N_LEVELS))
     # One place and one level fewer, so that the check lies between the places of the fit.
-    between, ground_between = _grid(fitted, convert, _GRID_SIDE - 1,
-                                    np.linspace(low, high, _N_LEVELS - 1))
+    between, ground_between = _grid_on_ground(fitted, convert, _GRID_SIDE - 1,
+                                              np.linspace(low, high, _N_LEVELS - 1))
     candidates = []
     for how, terms, ridge in _term_sets(fitted):
         rpc = _refit_rpc(image, ground, terms, ridge)
@@ -206,7 +206,7 @@ def _term_sets(fitted: Fit) -> Iterator[tuple[str, BoolArray, float]]:
     yield "all 40 polynomial", np.array([not term.is_denominator for term in terms]), 0.0
 
 
-def _heights(fitted: Fit) -> tuple[float, float]:
+def _range_of_heights(fitted: Fit) -> tuple[float, float]:
     """Return the least and the largest height of the control and of the known image; 0, 0 without.
     """
     heights = fitted.control.ground_vertices()[:, 2]
@@ -234,8 +234,8 @@ def _places_in_image(fitted: Fit,
     return ground[inside], image[inside]
 
 
-def _grid(fitted: Fit, convert: Callable[[FloatArray], FloatArray], across: int,
-          levels: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _grid_on_ground(fitted: Fit, convert: Callable[[FloatArray], FloatArray], across: int,
+                    levels: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return image places and where they see the ground at several heights, in WGS84."""
     steps = np.unique(levels)
     (first_line, first_sample), (last_line, last_sample) = fitted.image_box()

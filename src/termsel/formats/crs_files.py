@@ -82,7 +82,7 @@ def _crs_of_file(path: Path) -> str:
             text = "" if crs is None else crs.to_wkt()
     if not text:
         raise TermselError("this file has no CRS", file=path, hint=_NO_CRS)
-    return _of(path, text)
+    return _normalised_crs(path, text)
 
 
 def _crs_of_text(path: Path) -> str:
@@ -91,10 +91,10 @@ def _crs_of_text(path: Path) -> str:
     text = " ".join(read_text(path).split())
     if not text:
         raise TermselError("this file is empty, expected a CRS", file=path, hint=_NO_CRS)
-    return _of(path, text)
+    return _normalised_crs(path, text)
 
 
-def _of(path: Path, text: str) -> str:
+def _normalised_crs(path: Path, text: str) -> str:
     try:
         return normalise(text)
     except TermselError as error:

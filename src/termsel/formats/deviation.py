@@ -81,15 +81,15 @@ def say_deviation(name: str, fitted: Fit, ground: FloatArray, image: FloatArray,
     moved = fitted.locate(image[finite][worst:worst + 1], worst_ground[:, 2])
     metres = in_metres(fitted.control.crs, worst_ground, (moved - worst_ground)[:, :2])
     length = "" if metres is None or not np.isfinite(metres).all() \
-        else f" ({_size(float(np.hypot(*metres[0])))} m on the ground)"
+        else f" ({_length_in_words(float(np.hypot(*metres[0])))} m on the ground)"
     is_close = distance[worst] <= MAX_SILENT_DEVIATION
     level = logging.INFO if is_close else logging.WARNING
     beginning = "" if is_close else "Warning: "
     log.log(level, "%s%s: at most %s px%s from the model%s.", beginning, name,
-            _size(float(distance[worst])), length, ending)
+            _length_in_words(float(distance[worst])), length, ending)
 
 
-def _size(length: float) -> str:
+def _length_in_words(length: float) -> str:
     """Return a length with two digits; one that nobody can see is at most its bound."""
     length = max(length, _INVISIBLE)
     return f"{length:.2g}" if length < 100 else f"{length:,.0f}"

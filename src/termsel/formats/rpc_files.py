@@ -99,7 +99,7 @@ def read_rpc(path: Path | str) -> Rpc:
     path, name = _file_and_name(Path(path))
     head = read_head(path, f"Expected {KNOWN}.")
     try:
-        rpc = _read(path, head, name)
+        rpc = _rpc_of_head(path, head, name)
         return rpc if rpc.source else replace(rpc, source=path.name)
     except TermselError as error:
         raise (error if error.file is not None else located(error, path)) from error
@@ -192,7 +192,7 @@ def with_rpc(features: FeatureSet, rpc: Rpc | Path | str,
     return replace(features, rpc=full_rpc, image_size=size or size_with_rpc(path))
 
 
-def _read(path: Path, head: bytes, rpc_name: str) -> Rpc:
+def _rpc_of_head(path: Path, head: bytes, rpc_name: str) -> Rpc:
     """Return the RPC of an image, of XML, or of text with names and values."""
     if b"\0" in head and not is_utf16(head):
         items, of_bands, further = _rpc_items_of_image(path)
@@ -212,7 +212,7 @@ def _read(path: Path, head: bytes, rpc_name: str) -> Rpc:
         item = gdal_names.get(name, name)
         if item.startswith((*RPB_NAMES, *ERROR_NAMES)):
             for number in (_NUMBERS.findall(value) if "(" in value else value.split()[:1]):
-                _number(number, name, line)
+                _number_of_item(number, name, line)
             items[item] = value
     if items.keys() & (RPB_NAMES.keys() | {"LINE_NUM_COEFF_1"}):
         return with_control(from_items(items), {name: value for name, (value, _)
@@ -321,7 +321,7 @@ def from_items(items: Mapping[str, str]) -> Rpc:
         words = items.get(name, "").split()
         if not words:
             raise TermselError(f"the RPC lacks {name}", hint=_INCOMPLETE)
-        return _number(words[0], name)
+        return _number_of_item(words[0], name)
 
     def coefficients_of(name: str) -> tuple[float, ...]:
         """Return the 20 coefficients of one polynomial."""
@@ -331,7 +331,7 @@ def from_items(items: Mapping[str, str]) -> Rpc:
         if "(" in items[name] and ")" not in items[name]:
             raise TermselError(f"the file breaks off within {RPB_NAMES.get(name, name)}",
                                hint="Fetch it again.")
-        numbers = tuple(_number(text, name) for text in _NUMBERS.findall(items[name]))
+        numbers = tuple(_number_of_item(text, name) for text in _NUMBERS.findall(items[name]))
         if len(numbers) != N_COEFFICIENTS:
             raise TermselError(f"{name} has {len(numbers)} numbers, expected {N_COEFFICIENTS}",
                                hint=_INCOMPLETE)
@@ -352,7 +352,7 @@ def from_items(items: Mapping[str, str]) -> Rpc:
         error_bias=bias, error_random=random)
 
 
-def _number(text: str, name: str, line: int | None = None) -> float:
+def _number_of_item(text: str, name: str, line: int | None = None) -> float:
     """Return a text as a number; errors name the item and its line."""
     try:
         return float(text.replace("_", "?"))  # Python reads 1_000, no other program does
@@ -435,10 +435,10 @@ def _rpc_from_dimap(root: ElementTree.Element) -> Rpc:
                            hint="Expected FIRST_COL in ImagetoGround_Validity_Domain, as in the "
                                 "RPC_*.XML that came with the image.")
     items = dict(_texts(domain)) | dict(_texts(values))
-    origin = _number(first, "FIRST_COL")
+    origin = _number_of_item(first, "FIRST_COL")
     for name in ("LINE_OFF", "SAMP_OFF"):
         if name in items:
-            items[name] = repr(_number(items[name].strip(), name) - origin)
+            items[name] = repr(_number_of_item(items[name].strip(), name) - origin)
     # Errors of DIMAP are of another definition.
     return from_items({name: text for name, text in items.items() if name not in ERROR_NAMES})
 
@@ -486,7 +486,7 @@ def rpb_text(rpc: Rpc) -> str:
     """Return the text of an RPB file; numbers keep all their digits."""
     # Vendors write these keys, and some readers look for them.
     lines = ['satId = "";', 'bandId = "";', 'SpecId = "RPC00B";', "BEGIN_GROUP = IMAGE"]
-    for name, value in _values(rpc).items():
+    for name, value in _values_by_gdal_name(rpc).items():
         rpb = (ERROR_NAMES | RPB_NAMES)[name]
         if isinstance(value, tuple):
             numbers = ",\n".join(f"\t\t\t{number!r}" for number in value)
@@ -499,7 +499,7 @@ def rpb_text(rpc: Rpc) -> str:
 def rpc_txt_text(rpc: Rpc) -> str:
     """Return the text of a _RPC.TXT file; numbers keep all their digits."""
     lines = []
-    for name, value in _values(rpc).items():
+    for name, value in _values_by_gdal_name(rpc).items():
         if isinstance(value, tuple):
             lines += [f"{name}_{i}: {number!r}" for i, number in enumerate(value, 1)]
         else:
@@ -510,10 +510,10 @@ def rpc_txt_text(rpc: Rpc) -> str:
 def rpc_items(rpc: Rpc) -> dict[str, str]:
     """Return the items of GDAL's RPC domain, as in a VRT; numbers keep all their digits."""
     return {name: " ".join(map(repr, value)) if isinstance(value, tuple) else repr(value)
-            for name, value in _values(rpc).items()}
+            for name, value in _values_by_gdal_name(rpc).items()}
 
 
-def _values(rpc: Rpc) -> dict[str, float | tuple[float, ...]]:
+def _values_by_gdal_name(rpc: Rpc) -> dict[str, float | tuple[float, ...]]:
     """Return numbers by GDAL's names."""
     (line, sample) = rpc.image_offset
     # The order of GDAL's names: latitude before longitude.

@@ -49,7 +49,7 @@ def rpcs_of_tree(tree: object) -> dict[str, Items]:
     """Return the RPCs in nested dictionaries, each by the name that they have there."""
     rpcs: dict[str, Items] = {}
     for path, values in _dictionaries(tree, ()):
-        items = _items(values)
+        items = _items_by_gdal_name(values)
         if items.keys() >= _IS_RPC:
             # The nearest key above that says more than "rpc" names the image or band.
             name = next((key for key in reversed(path) if key.lower() != "rpc"), "")
@@ -62,7 +62,7 @@ def rpcs_of_xml(root: ElementTree.Element) -> dict[str, Items]:
     """Return the RPCs of bands in XML, by the numbers of the bands."""
     rpcs = {}
     for band in root.iter("bandID"):
-        items = _items({element.tag: element.text for element in band})
+        items = _items_by_gdal_name({element.tag: element.text for element in band})
         if items.keys() >= _IS_RPC:
             rpcs[band.get("number", "")] = items
     return rpcs
@@ -70,7 +70,7 @@ def rpcs_of_xml(root: ElementTree.Element) -> dict[str, Items]:
 
 def rpc_of_tags(tags: Mapping[str, str]) -> Items:
     """Return the items of the RPC in the tags of a band; {} without one."""
-    items = _items(tags)
+    items = _items_by_gdal_name(tags)
     return items if items.keys() >= _IS_RPC else {}
 
 
@@ -187,7 +187,7 @@ def _dictionaries(tree: object, path: tuple[str, ...],
                 yield from _dictionaries(value, (*path, str(number)))
 
 
-def _items(values: Mapping[str, Any]) -> Items:
+def _items_by_gdal_name(values: Mapping[str, Any]) -> Items:
     """Return the numbers of an RPC by GDAL's names, in whatever spelling they come."""
     items: Items = {}
     for key, value in values.items():

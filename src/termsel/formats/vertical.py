@@ -133,7 +133,7 @@ def to_datum_of(crs: str, raster_crs: CRS, path: Path) -> Heights | None:
 
     control = CRS.from_user_input(crs)
     datum = vertical_datum(raster_crs)
-    if not datum or _frame(raster_crs) == _frame(control):
+    if not datum or _surface_of_heights(raster_crs) == _surface_of_heights(control):
         return None
     try:
         convert = transformation(with_height_unit(raster_crs.to_wkt(), METRE),
@@ -164,7 +164,7 @@ def _heights_in_words(crs: str) -> str:
 
 def _advice_if_same_heights(crs: str, raster_crs: CRS) -> str:
     """Return advice to state the raster's heights for the control; "" if they are stated."""
-    vertical_crs = _vertical(raster_crs)
+    vertical_crs = _vertical_part(raster_crs)
     number = None if vertical_crs is None else vertical_crs.to_epsg()
     if not height_reference(crs).startswith("not stated") or number is None:
         return ""
@@ -174,14 +174,14 @@ def _advice_if_same_heights(crs: str, raster_crs: CRS) -> str:
             f"--crs {crs if plane else 'EPSG:n'}+{number}.")
 
 
-def _vertical(crs: CRS) -> CRS | None:
+def _vertical_part(crs: CRS) -> CRS | None:
     """Return the vertical part of a compound CRS; None of another."""
     return next((component for component in crs.sub_crs_list if component.is_vertical), None)
 
 
-def _frame(crs: CRS) -> tuple[str, str]:
+def _surface_of_heights(crs: CRS) -> tuple[str, str]:
     """Return the surface that heights are above: "geoid" or "ellipsoid", and its name."""
-    vertical = _vertical(crs)
+    vertical = _vertical_part(crs)
     if vertical is not None:
         # Two geoids are two surfaces; two CRSs of one geoid are one.
         return "geoid", str(vertical.datum.name if vertical.datum else vertical.name)

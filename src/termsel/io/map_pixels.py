@@ -130,7 +130,7 @@ def map_pixels(picture: Picture, resampling: str | None, nodata: float | None) -
                            hint="Give an image with colours or values.")
     bands = [picture.bands[index] for index in colours + alpha]
     empty = tuple(band.nodata for band in bands[:len(colours)])
-    common, same = _common(empty)
+    common, same = _common_nodata(empty)
     # The warper takes one value for all bands; where there are several it takes bands one by one.
     warped = replace(picture, masked=picture.masked and not alpha, bands=tuple(
         band if same and not band.alpha else replace(band, nodata=None) for band in bands))
@@ -171,7 +171,7 @@ def _unused_index(picture: Picture) -> int | None:
     return int(candidates[0]) if len(candidates) else None
 
 
-def _common(values: tuple[float | None, ...]) -> tuple[float | None, bool]:
+def _common_nodata(values: tuple[float | None, ...]) -> tuple[float | None, bool]:
     """Return the value of all bands for no data, and True; None and False if they differ.
 
     The value is None, too, where no band has one.
@@ -275,7 +275,7 @@ def warp(raster: Any, output: Path, grid: MapGrid, spec: MapPixels, *, tags: Map
         in_order = spec.order == tuple(range(len(tile)))
         return tile if in_order else tile[list(spec.order)], visible
 
-    write_cog(output, _profile(grid, spec), pixels, describe=lambda tiled: _describe(
+    write_cog(output, _profile_of_map(grid, spec), pixels, describe=lambda tiled: _describe(
         tiled, spec, tags), progress=progress,
         masked=spec.masked, nearest=spec.category, bits=spec.bits)
     if lost:
@@ -419,7 +419,7 @@ def _move_off_nodata(tile: Values, visible: Mask, spec: MapPixels) -> int:
     return 0
 
 
-def _profile(grid: MapGrid, spec: MapPixels) -> dict[str, Any]:
+def _profile_of_map(grid: MapGrid, spec: MapPixels) -> dict[str, Any]:
     """Return the profile of the map, with which rasterio creates it."""
     return {"height": grid.lines, "width": grid.samples, "count": len(spec.order),
             "dtype": spec.dtype.name, "crs": grid.crs, "transform": grid.transform,

@@ -137,7 +137,7 @@ def _stretch(positions: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(squares))
 
 
-def _weight(distance: float, kernel: int, stretch: float) -> float:
+def _kernel_weight(distance: float, kernel: int, stretch: float) -> float:
     """Return the weight of a pixel at a distance from a position [px]."""
     if kernel == 5:  # the part of the pixel that lies in the interval
         half = 0.5 * stretch
@@ -165,7 +165,7 @@ def _weight(distance: float, kernel: int, stretch: float) -> float:
     return float(3.0 * np.sin(turn) * np.sin(turn / 3.0) / (turn * turn))
 
 
-_weight = compiled(_weight)
+_kernel_weight = compiled(_kernel_weight)
 
 
 def _fill_pixels(pixels: Any, has_data: Any, first_line: int, first_sample: int, positions: Any,
@@ -205,9 +205,9 @@ def _fill_pixels(pixels: Any, has_data: Any, first_line: int, first_sample: int,
             leftmost = max(int(np.ceil(sample - reach_sample)), 0)
             rightmost = min(int(np.floor(sample + reach_sample)), columns - 1)
             for r in range(top, bottom + 1):
-                of_line[r - top] = _weight(r - line, kernel, stretch_line)
+                of_line[r - top] = _kernel_weight(r - line, kernel, stretch_line)
             for c in range(leftmost, rightmost + 1):
-                of_sample[c - leftmost] = _weight(c - sample, kernel, stretch_sample)
+                of_sample[c - leftmost] = _kernel_weight(c - sample, kernel, stretch_sample)
             for band in range(bands):
                 # A pixel of the map shows what its own place in the image shows.
                 if not has_data[band, row, column]:

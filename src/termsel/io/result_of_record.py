@@ -64,11 +64,11 @@ def result_from(record: Record, features: FeatureSet) -> Result:
     """Return the result of a record and its features, each point with its role."""
     observations = by_roles(features)
     model = _model(record)
-    fitted = _fit(record, model, observations)
+    fitted = _fit_of_selection(record, model, observations)
     _refuse_other_model(record, fitted, observations)
     residuals = residuals_of(fitted, observations, record.outliers,
                              check_used=record.strategy is not None)
-    return Result.of(record, fit=fitted, final=_final(record, model, observations),
+    return Result.of(record, fit=fitted, final=_final_fit(record, model, observations),
                      features=features, residuals=residuals)
 
 
@@ -84,7 +84,7 @@ def _model(record: Record) -> SensorModel:
     return model
 
 
-def _fit(record: Record, model: SensorModel, observations: Observations) -> Fit:
+def _fit_of_selection(record: Record, model: SensorModel, observations: Observations) -> Fit:
     """Return the fit of the selection: of the control, or of all it was made with."""
     control = observations.control
     how = record.estimation
@@ -117,7 +117,7 @@ def _made_of(features: FeatureSet, points: set[str], ids: tuple[str, ...]) -> Fe
     return chosen_features
 
 
-def _final(record: Record, model: SensorModel, observations: Observations) -> Fit | None:
+def _final_fit(record: Record, model: SensorModel, observations: Observations) -> Fit | None:
     """Return the final fit: to all points with a role but independent outliers; None without."""
     final = record.final_fit
     if final is None:

@@ -68,7 +68,7 @@ def document(record: Record, view: View | None = None, picture: str = "",
         (*_first_lines(record, view), *_fitted_in(record), *_first_picture(view, picture)),
         # A section without an answer has no heading either.
         (*(Section(title, blocks) for title, answer in (
-            ("How accurate is it?", _accuracy(record)),
+            ("How accurate is it?", _answer_on_accuracy(record)),
             ("Is it better than conventional models?", _answer_on_conventional(record, view)),
             ("Which points or lines are outliers?", _answer_on_bad_points(record, view)),
             ("In which areas is the model uncertain?", _answer_on_weak_places(view)),
@@ -108,17 +108,17 @@ def _fitted_in(record: Record) -> Iterator[Block]:
                      f"{data.heights}")
 
 
-def _accuracy(record: Record) -> Iterator[Block]:
+def _answer_on_accuracy(record: Record) -> Iterator[Block]:
     """Yield the answer to "How accurate is it?"."""
     yield Statement(statement(record))
     # Of computed points an RMSE would look like an accuracy.
     accuracy = None if are_computed(record) else record.accuracy
     predicted = record.predicted
     if accuracy:
-        yield from _figures(accuracy, f", which took no part in any "
-                                      f"choice{_scope_of_choice(accuracy)}")
+        yield from _errors_table(accuracy, f", which took no part in any "
+                                           f"choice{_scope_of_choice(accuracy)}")
         if record.accuracy_without:
-            yield from _figures(record.accuracy_without, f", without {contradicting(record)}")
+            yield from _errors_table(record.accuracy_without, f", without {contradicting(record)}")
         if predicted and (_predicts_fit_to_all(record) or not predicted_first(record)):
             yield _prediction(predicted)
     if (strategy := record.strategy) and strategy.predicted is not None:
@@ -206,7 +206,7 @@ def _rmse_on(accuracy: Accuracy) -> str:
             f"(90 % interval {rounded(low)} to {rounded(high)} px).")
 
 
-def _figures(accuracy: Accuracy, of: str) -> Iterator[Block]:
+def _errors_table(accuracy: Accuracy, of: str) -> Iterator[Block]:
     """Yield the errors of independent points as a table, with figures of standards."""
     image = accuracy.image
     ground = accuracy.ground
@@ -272,7 +272,7 @@ def _answer_on_conventional(record: Record, view: View | None) -> Iterator[Block
     yield record.judgement
     yield from map(Note, record.notes)
     yield from figure(view, "baselines")
-    yield Detail(_fits(record))
+    yield Detail(_table_of_fits(record))
     yield from (Detail(f"Refused: {label_of(baseline.name)}, as {baseline.refused}.")
                 for baseline in record.baselines if baseline.refused)
     yield from map(Detail, _legend(record, view))
@@ -301,22 +301,22 @@ def _legend(record: Record, view: View | None) -> Iterator[str]:
         yield f"The search minimised {objective}. Accuracy: the RMSE at independent check points."
 
 
-def _fits(record: Record) -> TableBlock:
+def _table_of_fits(record: Record) -> TableBlock:
     """Return the RMSE of this result and of all fits without a search."""
     rows = []
     keys = []
     for name, fitted_to_check, n_terms, rmse in fits_of(record):
         # Control first: a fit to it, then what took no part.
-        figures = [_figure(rmse.control)]
+        figures = [_rmse_as_cell(rmse.control)]
         for of_role in (rmse.check, rmse.independent):
-            figures += [_figure(of_role), "{:.3f} to {:.3f}".format(*of_role.interval)
+            figures += [_rmse_as_cell(of_role), "{:.3f} to {:.3f}".format(*of_role.interval)
                         if of_role.interval else "-"]
         has_mark = fitted_to_check and record.data.counts.check > 0
         rows.append((name + " *" * has_mark, str(n_terms), *figures))
         keys.append(name)
         if rmse.leave_one_out is not None:
             # Leave-one-out is of all control, so that it has one figure and no interval.
-            rows.append((f"  {LEAVE_ONE_OUT}", "", _figure(rmse.leave_one_out), *[""] * 4))
+            rows.append((f"  {LEAVE_ONE_OUT}", "", _rmse_as_cell(rmse.leave_one_out), *[""] * 4))
             keys.append(name)
     header = ("fit", "terms", "control", "selection", "interval", "independent check", "interval")
     # A role that no feature has takes no column.
@@ -328,7 +328,7 @@ def _fits(record: Record) -> TableBlock:
                       page_only=(kept.index(4),) if 4 in kept else ())
 
 
-def _figure(rmse: RoleRmse) -> str:
+def _rmse_as_cell(rmse: RoleRmse) -> str:
     """Return an RMSE as a cell of a table; "exact" where only rounding is left."""
     total = rmse.total
     if total is None:

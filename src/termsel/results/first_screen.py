@@ -72,13 +72,13 @@ def first_screen(record: Record) -> list[Fact]:
 def _facts(record: Record, brief: int) -> list[Fact]:
     """Return all facts but cautions: briefly (1) without second lines, or (2) counting outliers."""
     compared = list(_comparison_facts(record))
-    search = list(_search(record))
+    search = list(_facts_on_search(record))
     # The first line of a topic says it, further ones explain.
     if brief:
         compared = compared[:1]
         search = search[:1]
     outliers = _counted_outliers(record) if brief == 2 else outlier_lines(record)
-    return [*_data(record, brief), Fact(""), Fact(_model(record), "Model"),
+    return [*_facts_on_data(record, brief), Fact(""), Fact(_model(record), "Model"),
             *_label_facts("Accuracy", accuracy_lines(record)), *_label_facts("Outliers", outliers),
             *_label_facts("Compared", compared), *_label_facts("Search", search)]
 
@@ -99,7 +99,7 @@ def _height(fact: Fact) -> int:
     return max(1, -(-len(fact.text) // width))
 
 
-def _data(record: Record, brief: int) -> Iterator[Fact]:
+def _facts_on_data(record: Record, brief: int) -> Iterator[Fact]:
     """Yield the file, its features and its CRS, then the features of each role."""
     data = record.data
     names = ", ".join(PurePath(name).name for name in data.source.split(", "))
@@ -437,7 +437,7 @@ def _conventional(record: Record, row: BaselineRow) -> Iterator[str]:
     yield f"{fitted}{', outliers included' if excluded else ''}: {rounded(total)} px"
 
 
-def _search(record: Record) -> Iterator[str]:
+def _facts_on_search(record: Record) -> Iterator[str]:
     """Yield the proof, if there is one, and the size of the Pareto front."""
     certificate = record.certificate
     if certificate is not None and not certificate.claimed_by:

@@ -51,7 +51,7 @@ def page(document: Document) -> str:
     for number, section in enumerate(document.sections, 1):
         content = "\n".join(_blocks(section.blocks, specs))
         content_blocks.append(f'<section aria-labelledby="s{number}"><h2 id="s{number}">'
-                     f"{_text(section.title)}</h2>\n{content}\n</section>")
+                     f"{_html(section.title)}</h2>\n{content}\n</section>")
     style = _resource("page.css") + dark_style()
     script = _resource("page.js")
     # Nothing from elsewhere is loaded, and no script runs but these two, known by their checksums.
@@ -68,11 +68,11 @@ def page(document: Document) -> str:
 <meta http-equiv="Content-Security-Policy" content="{policy}">
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <link rel="icon" href="data:,">
-<title>{_text(title)}</title>
+<title>{_html(title)}</title>
 <style>{style}</style>
 </head>
 <body>
-<header><h1>{_text(title)}</h1><p>{_text(document.subtitle)}</p></header>
+<header><h1>{_html(title)}</h1><p>{_html(document.subtitle)}</p></header>
 <main>
 {chr(10).join(content_blocks)}
 </main>
@@ -111,8 +111,8 @@ def _blocks(blocks: Iterable[Block], specs: dict[str, Any]) -> Iterator[str]:
 
 def _facts(facts: Sequence[Fact]) -> str:
     """Return the lines of the first screen: those without a label as text, others as a list."""
-    paragraphs = [f"<p>{_text(fact.text)}</p>" for fact in facts if not fact.label and fact.text]
-    rows = [f"<dt>{_text(fact.label.strip())}</dt><dd>{_text(fact.text)}</dd>"
+    paragraphs = [f"<p>{_html(fact.text)}</p>" for fact in facts if not fact.label and fact.text]
+    rows = [f"<dt>{_html(fact.label.strip())}</dt><dd>{_html(fact.text)}</dd>"
             for fact in facts if fact.label]
     listed = f'<dl class="facts">{"".join(rows)}</dl>' if rows else ""
     return "\n".join([*paragraphs, listed])
@@ -123,47 +123,47 @@ def _block(block: Block, specs: dict[str, Any]) -> str:
     if isinstance(block, Detail):
         return _block(block.block, specs)
     if isinstance(block, str):
-        return f"<p>{_text(block)}</p>"
+        return f"<p>{_html(block)}</p>"
     if isinstance(block, Note):
-        return f"<p><strong>{_text(block.label)}:</strong> {_text(block.text)}</p>"
+        return f"<p><strong>{_html(block.label)}:</strong> {_html(block.text)}</p>"
     if isinstance(block, Fact):
         return _facts([block])
     if isinstance(block, Names):
-        return (f"<details><summary>{_text(block.title)}: {len(block.names)}</summary>"
-                f"<p>{_text(' '.join(block.names))}</p></details>")
+        return (f"<details><summary>{_html(block.title)}: {len(block.names)}</summary>"
+                f"<p>{_html(' '.join(block.names))}</p></details>")
     if isinstance(block, Statement):
-        return f'<blockquote class="statement" tabindex="0">{_text(block.text)}</blockquote>'
+        return f'<blockquote class="statement" tabindex="0">{_html(block.text)}</blockquote>'
     if isinstance(block, Code):
-        return f'<pre tabindex="0"><code>{_text(block.text)}</code></pre>'
-    return _figure(block, specs) if isinstance(block, Figure) else _table(block)
+        return f'<pre tabindex="0"><code>{_html(block.text)}</code></pre>'
+    return _chart_as_html(block, specs) if isinstance(block, Figure) else _table_as_html(block)
 
 
-def _figure(figure: Figure, specs: dict[str, Any]) -> str:
+def _chart_as_html(figure: Figure, specs: dict[str, Any]) -> str:
     """Return the place of a chart as HTML, and keep its specification."""
     # Charts are drawn by the browser from their specification, which is at the end of the page.
     specs[figure.name] = styled(figure.chart).to_dict()
     ratio = figure.chart.width / figure.chart.height if figure.keeps_ratio else 0
-    return (f'<figure id="{_text(figure.name)}"><h3>{_text(figure.title)}</h3>'
-            f"<p class=\"look\">{_text(figure.look)}</p>"
-            f'<div class="chart" data-chart="{_text(figure.name)}" data-ratio="{ratio:.4g}" '
-            f'role="group" aria-label="{_text(figure.title)}"></div></figure>')
+    return (f'<figure id="{_html(figure.name)}"><h3>{_html(figure.title)}</h3>'
+            f"<p class=\"look\">{_html(figure.look)}</p>"
+            f'<div class="chart" data-chart="{_html(figure.name)}" data-ratio="{ratio:.4g}" '
+            f'role="group" aria-label="{_html(figure.title)}"></div></figure>')
 
 
-def _table(table: TableBlock) -> str:
+def _table_as_html(table: TableBlock) -> str:
     """Return a table as HTML."""
     # The first column is the head of its row, which has a style of its own.
     classes = ["", *(_column_class(table, i) for i in range(1, len(table.columns)))]
-    heads = [f'<th scope="col"{column_class}>{_text(name)}</th>' if name else "<td></td>"
+    heads = [f'<th scope="col"{column_class}>{_html(name)}</th>' if name else "<td></td>"
              for name, column_class in zip(table.columns, classes, strict=True)]
     if table.pictures:
         heads.insert(1, '<th scope="col" class="words">residuals</th>')
-    choice = f' data-choice="{_text(table.choice)}"' if table.choice else ""
+    choice = f' data-choice="{_html(table.choice)}"' if table.choice else ""
     # On a narrow screen text beside numbers, or many columns, would leave it.
     is_listed = bool(table.pictures or ' class="words"' in classes
                      or sum(column != ' class="beyond"' for column in classes) > MOST_COLUMNS)
     listed = ' class="listed"' if is_listed else ""
     rows = [_row(table, i, classes, is_listed) for i in range(len(table.rows))]
-    caption = _text(table.caption)
+    caption = _html(table.caption)
     table_html = (f'<div class="scroll" tabindex="0"><table{listed}{choice}><caption><span>'
                   f"{caption}</span></caption><thead><tr>{''.join(heads)}</tr></thead><tbody>\n"
                   + "\n".join(rows) + "\n</tbody></table></div>")
@@ -183,20 +183,20 @@ def _column_class(table: TableBlock, column: int) -> str:
 
 def _row(table: TableBlock, i: int, classes: Sequence[str], is_listed: bool) -> str:
     """Return a row of a table: its head, which may be a button that picks it, and its cells."""
-    name, *texts = map(_text, table.rows[i])
+    name, *texts = map(_html, table.rows[i])
     attributes = ' class="marked"' if i == table.marked else ""
     if table.choice:
-        attributes += f' data-key="{_text(drawable(json.dumps(table.keys[i])))}"'
+        attributes += f' data-key="{_html(drawable(json.dumps(table.keys[i])))}"'
         name = f'<button type="button">{name}</button>'
     picture = f'<td class="picture">{table.pictures[i]}</td>' if table.pictures else ""
-    heads = [f' data-head="{_text(head)}"' if is_listed and head else ""
+    heads = [f' data-head="{_html(head)}"' if is_listed and head else ""
              for head in table.columns[1:]]
     cells = [f"<td{column_class}{head}>{text}</td>"
              for text, head, column_class in zip(texts, heads, classes[1:], strict=True)]
     return f'<tr{attributes}><th scope="row">{name}</th>{picture}{"".join(cells)}</tr>'
 
 
-def _text(text: str) -> str:
+def _html(text: str) -> str:
     """Return text of names and files as HTML, in which no markup or control sign has an effect."""
     return escape(printable(text))
 

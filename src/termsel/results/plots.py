@@ -51,18 +51,18 @@ class ChartKind:
         return f"{self.look} {self.remark(view)}".strip()
 
 
-def _worst(view: View) -> Any:
+def _worst_next_to_map(view: View) -> Any:
     """Return the worst residuals next to the map that shows where they are."""
     # Side by side, and linked: what is clicked in one is marked in the other.
-    return _linked(bars.worst_bars(view).properties(width=260), maps.image_map(view))
+    return _side_by_side(bars.worst_bars(view).properties(width=260), maps.image_map(view))
 
 
-def _front(view: View) -> Any:
+def _front_and_member(view: View) -> Any:
     """Return the front next to the residuals of the member that is chosen."""
-    return _linked(search.front(view).properties(width=380, height=380), search.members(view))
+    return _side_by_side(search.front(view).properties(width=380, height=380), search.members(view))
 
 
-def _linked(first: Any, second: Any) -> Any:
+def _side_by_side(first: Any, second: Any) -> Any:
     """Return two charts side by side, without the warning that links them."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Automatically deduplicated")  # which links the two
@@ -83,7 +83,7 @@ KINDS = {kind.name: kind for kind in (
     ChartKind(
         "worst", "The largest residuals",
         "The list should fall off smoothly. A step after the first few bars separates blunders "
-        "from noise.", _worst, remark=bars.broken),
+        "from noise.", _worst_next_to_map, remark=bars.broken),
     ChartKind(
         "baselines", "Compared with fits without a search",
         "This result should lie left of the conventional models at independent check points. If "
@@ -101,7 +101,8 @@ KINDS = {kind.name: kind for kind in (
         "front", "Pareto front: accuracy against size",
         "If the error rises at independent check points and still falls at selection points, "
         "further terms fit noise.",
-        _front, lambda view: "" if view.record.front else "its search had one objective"),
+        _front_and_member,
+        lambda view: "" if view.record.front else "its search had one objective"),
     ChartKind(
         "convergence", "Convergence of the search",
         "The best value should be level at the end. If it still falls, give the search more "

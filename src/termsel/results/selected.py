@@ -28,9 +28,9 @@ def selected(record: Record, view: View | None, picture: str) -> Iterator[Block]
     if record.strategy:
         yield from _choice(record, record.strategy, view)
     else:
-        yield from map(Detail, _search(record))
-        yield from _proven(record)
-    yield from _front(record, view, picture)
+        yield from map(Detail, _sentences_on_search(record))
+        yield from _proof_of_selection(record)
+    yield from _front_and_proofs(record, view, picture)
     if record.sensor:
         yield Detail(_sensor(record.sensor))
         if any(sensor.name == "kappa" for sensor in record.sensor):
@@ -109,7 +109,7 @@ def _choice(record: Record, strategy: Strategy, view: View | None) -> Iterator[B
         marked=names.index(strategy.chosen) if strategy.chosen in names else None))
 
 
-def _search(record: Record) -> Iterator[Block]:
+def _sentences_on_search(record: Record) -> Iterator[Block]:
     """Yield the size of the selection, and sentences on the search for it."""
     selection = record.selection
     offered = record.offered
@@ -139,7 +139,7 @@ def _max_share(record: Record) -> float:
     return cast("float", record.options.problem.get("max_share", 1.0))
 
 
-def _proven(record: Record) -> Iterator[Block]:
+def _proof_of_selection(record: Record) -> Iterator[Block]:
     """Yield the proof of the selection, and how to prove more; nothing without a certificate."""
     if record.certificate:
         exact = "--solver exact"
@@ -183,7 +183,7 @@ def _certificate(certificate: Certificate, exact: str) -> str:
         "; no lower bound is known yet" if certificate.bound == 0 else "")
 
 
-def _front(record: Record, view: View | None, picture: str) -> Iterator[Block]:
+def _front_and_proofs(record: Record, view: View | None, picture: str) -> Iterator[Block]:
     """Yield the front, or the best so far of each size, and proofs of their members."""
     front = record.front
     by_size = record.by_size

@@ -34,17 +34,17 @@ def text_of(document: Document, *, with_details: bool = True, titled: bool = Tru
     """
     lines = [document.title, *_wrap_text(document.subtitle)] if titled else []
     # Details are what --verbose adds; figures have no text.
-    lines += _lines(_blocks_shown(document.facts, with_details))
+    lines += _lines_of_blocks(_blocks_shown(document.facts, with_details))
     for section in document.sections:
         if blocks := list(_blocks_shown(section.blocks, with_details)):
-            lines += ["", section.title, *_lines(blocks)]
+            lines += ["", section.title, *_lines_of_blocks(blocks)]
     # File names may have what a terminal would obey.
     return printable("\n".join(lines)) + "\n"
 
 
 def text_of_blocks(blocks: Iterable[Block]) -> str:
     """Return blocks as text, such as the facts of the first screen."""
-    return printable("\n".join(_lines(blocks))) + "\n"
+    return printable("\n".join(_lines_of_blocks(blocks))) + "\n"
 
 
 def _blocks_shown(blocks: Iterable[Block], with_details: bool) -> Iterator[Block]:
@@ -56,7 +56,7 @@ def _blocks_shown(blocks: Iterable[Block], with_details: bool) -> Iterator[Block
             yield block
 
 
-def _lines(blocks: Iterable[Block]) -> Iterator[str]:
+def _lines_of_blocks(blocks: Iterable[Block]) -> Iterator[str]:
     """Yield the lines of blocks, with an empty one around each table."""
     after_table = False
     for i, block in enumerate(blocks):
@@ -70,7 +70,7 @@ def _lines(blocks: Iterable[Block]) -> Iterator[str]:
 def _block(block: Block) -> Iterator[str]:
     """Yield the lines of a block."""
     if isinstance(block, TableBlock):
-        yield from _table(block)
+        yield from _lines_of_table(block)
     elif isinstance(block, Note):
         yield from _wrap_text(f"{block.label}: {block.text}", 4)
     elif isinstance(block, Fact):
@@ -93,7 +93,7 @@ def _fact(fact: Fact) -> Iterator[str]:
         yield from _wrap_text(fact.text, 4) or [""]
 
 
-def _table(table: TableBlock) -> Iterator[str]:
+def _lines_of_table(table: TableBlock) -> Iterator[str]:
     """Yield the lines of a table; of a long one how many rows it has."""
     if table.caption:
         yield table.caption

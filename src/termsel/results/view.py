@@ -76,8 +76,8 @@ class View:
         # Rows of charts are kept short: a page holds thousands.
         for r, (line, sample) in zip(self._drawn_residuals, self._image_positions, strict=True):
             if np.isfinite([line, sample, r.distance]).all():
-                rows.append({**self._named(r), "line": _short(line), "sample": _short(sample),
-                             "dl": _short(r.line, 4), "ds": _short(r.sample, 4)})
+                rows.append({**self._row_of(r), "line": _shorten(line), "sample": _shorten(sample),
+                             "dl": _shorten(r.line, 4), "ds": _shorten(r.sample, 4)})
         return rows
 
     @cached_property
@@ -89,9 +89,9 @@ class View:
         for i, (r,
                 (dx, dy)) in enumerate(zip(self._drawn_residuals, offsets.tolist(), strict=True)):
             if np.isfinite([dx, dy]).all():
-                away = None if metres is None else _short(float(np.hypot(*metres[i])), 4)
-                rows.append({**self._named(r), "x": _short(r.x, 12), "y": _short(r.y, 12),
-                             "dx": _short(dx, 4), "dy": _short(dy, 4), "metres": away})
+                away = None if metres is None else _shorten(float(np.hypot(*metres[i])), 4)
+                rows.append({**self._row_of(r), "x": _shorten(r.x, 12), "y": _shorten(r.y, 12),
+                             "dx": _shorten(dx, 4), "dy": _shorten(dy, 4), "metres": away})
         return rows
 
     @cached_property
@@ -102,7 +102,7 @@ class View:
         for i in self._residuals_by_length[:None if self._drawn_residuals is self.residuals
                                            else LARGEST_RESIDUALS]:
             if np.isfinite(self.residuals[i].distance):
-                largest.setdefault(self.residuals[i].id, self._named(self.residuals[i]))
+                largest.setdefault(self.residuals[i].id, self._row_of_residual(self.residuals[i]))
         return list(largest.values())
 
     @cached_property
@@ -113,8 +113,8 @@ class View:
         blunders = {outlier.id for outlier in self.record.outliers}
         return [{"id": name, "role": "control" if name in selected else
                  "rejected" if name in blunders else "left out",
-                 "blunder": name in blunders, "line": _short(l1), "sample": _short(s1),
-                 "line2": _short(l2), "sample2": _short(s2)}
+                 "blunder": name in blunders, "line": _shorten(l1), "sample": _shorten(s1),
+                 "line2": _shorten(l2), "sample2": _shorten(s2)}
                 for name, ((l1, s1), (l2, s2)) in zip(lines.ids, lines.image.tolist(),
                                                       strict=True)]
 
@@ -149,9 +149,10 @@ class View:
                                         self.record.shared_sigma or 0.0), axis=1)
         # Cells reach half the distance of nodes to either side.
         half_line, half_sample = ((image[-1] - image[0]) / (SIGMA_SIDE - 1) / 2).tolist()
-        return [{"line": _short(line - half_line), "line2": _short(line + half_line),
-                 "sample": _short(sample - half_sample), "sample2": _short(sample + half_sample),
-                 "sigma": _short(value, 4)}
+        return [{"line": _shorten(line - half_line), "line2": _shorten(line + half_line),
+                 "sample": _shorten(sample - half_sample),
+                 "sample2": _shorten(sample + half_sample),
+                 "sigma": _shorten(value, 4)}
                 for (line, sample), value in zip(image.tolist(), sigma.tolist(), strict=True)
                 if np.isfinite(value)]
 
@@ -204,7 +205,7 @@ class View:
             for residual in of_members:
                 values += [residual.line, residual.sample]
             if np.isfinite(values).all():
-                rows.append({**self._named(r), "line": _short(line), "sample": _short(sample),
+                rows.append({**self._row_of(r), "line": _shorten(line), "sample": _shorten(sample),
                              "dls": [round(residual.line / unit) for residual in of_members],
                              "dss": [round(residual.sample / unit) for residual in of_members],
                              "uses": [int(residual.used) for residual in of_members]})
@@ -288,13 +289,13 @@ class View:
         roles = by_roles(self.features)
         return [residuals_of(fitted, roles) for fitted in self.fits_of_front()]
 
-    def _named(self, r: Residual) -> Row:
+    def _row_of(self, r: Residual) -> Row:
         """Return id, kind, role, blunder and distance [px] of a residual, as charts need them."""
         left_out = r.role in ("control", "off") and not r.used
         return {"id": r.id, "kind": "point" if r.kind == "point" else "line",
                 "role": ("rejected" if r.blunder else "left out") if left_out else r.role,
                 "blunder": r.blunder,
-                "distance": _short(r.distance, 4)}
+                "distance": _shorten(r.distance, 4)}
 
 
 def _box(points: FloatArray) -> tuple[float, float, float, float]:
@@ -304,7 +305,7 @@ def _box(points: FloatArray) -> tuple[float, float, float, float]:
     return a, b, c, d
 
 
-def _short(value: float, digits: int = 7) -> float:
+def _shorten(value: float, digits: int = 7) -> float:
     """Return a number with fewer digits, as data of a page."""
     return float(f"{value:.{digits}g}")
 

@@ -201,7 +201,7 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
                 determined=outcome.exact,
                 has_geometry=method.from_one),
         *([] if lattice is None else [lattice.sentence(known=method.from_one)]),
-        *_high(verdict), *verdict.notes, *_lines(fitted), *contradicting.notes, *auto.notes)
+        *_high(verdict), *verdict.notes, *_note_on_lines(fitted), *contradicting.notes, *auto.notes)
     # The objective of the record is what the rule of the choice compares.
     rmse = choice.chosen.held_out_rmse
     stated = {
@@ -345,7 +345,7 @@ def _high(verdict: Verdict) -> list[str]:
     return [f"Left out for {heights}: {', '.join(high)}."]
 
 
-def _lines(fitted: Fit) -> list[str]:
+def _note_on_lines(fitted: Fit) -> list[str]:
     """Return a note that no line is in use; [] if some are, or there are none."""
     lines = len(fitted.control.lines.features)
     if not lines or fitted.used[len(fitted.control.points):].any():

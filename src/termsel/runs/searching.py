@@ -219,7 +219,7 @@ def finding_of(task: Task, search: SearchResult, auto: Auto,
     conventional = name_conventional(task.problem.genome, observations)
     plugins = plugins_of(task.request)
     # Members of the front and the best of each size share fits, by their genes.
-    sizes = _sizes(task, search)
+    sizes = _proofs_by_size(task, search)
     members = {genes.tobytes(): _member(task, genes) for genes in search.front}
     for size in sizes:
         if size.genes.tobytes() not in members:
@@ -317,11 +317,11 @@ def _certificate(task: Task, search: SearchResult, fitted: Fit) -> Certificate |
     """Return the solver's proof, or how far it is from a proven optimum; None if neither is known.
     """
     # A certificate of the solver, or the gap to an optimum that enumeration proves quickly.
-    content = _proven(task, search, fitted)
+    content = _proof_or_gap(task, search, fitted)
     return None if content is None else convert(plain(content), Certificate)
 
 
-def _proven(task: Task, search: SearchResult, fitted: Fit) -> Mapping[str, Any] | None:
+def _proof_or_gap(task: Task, search: SearchResult, fitted: Fit) -> Mapping[str, Any] | None:
     """Return the certificate of a search, or its distance from the optimum; None without either."""
     # What a solver of a plugin proves is its claim, and named as such.
     claim = plugins_of(task.request).get("solver")
@@ -348,7 +348,7 @@ def _required_certificate(certificate: Mapping[str, Any], solver: str) -> dict[s
     return {key: certificate[key] for key in kinds}
 
 
-def _sizes(task: Task, search: SearchResult) -> list[SizeProof]:
+def _proofs_by_size(task: Task, search: SearchResult) -> list[SizeProof]:
     """Return the solver's proofs of the selections of each size; [] of a plugin's solver."""
     return [] if search.proof is None or "solver" in plugins_of(task.request) \
         else search.proof.by_size(task.problem)

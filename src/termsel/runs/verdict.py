@@ -58,7 +58,7 @@ def exchange_of(control: FitData) -> Exchange | None:
     points = control.scaled.points
     ground = points.ground[:, :2]
     image = points.image
-    if not _mixed(_turnings(ground, image)):
+    if not _are_mixed(_turnings(ground, image)):
         return None
     # What would make the plane a view again: two points exchanged, or one left out; the affine
     # residual of the rest decides among several.
@@ -68,14 +68,14 @@ def exchange_of(control: FitData) -> Exchange | None:
         order = np.arange(count)
         order[list(pair)] = pair[::-1]
         turnings = _turnings(ground, image[order])
-        if not _mixed(turnings):
+        if not _are_mixed(turnings):
             # A mirrored image is rare.
             mirrored = 1e3 if (turnings > 0).any() else 1.0
             repairs.append((mirrored * _affine_residuals(ground, image[order]),
                             Exchange(pair, True)))
     for wrong in range(count) if count > MIN_EXCHANGED_POINTS else ():
         remaining = np.delete(np.arange(count), wrong)
-        if not _mixed(_turnings(ground[remaining], image[remaining])):
+        if not _are_mixed(_turnings(ground[remaining], image[remaining])):
             repairs.append((_affine_residuals(ground[remaining], image[remaining]),
                             Exchange((wrong,), False)))
     if repairs:
@@ -119,7 +119,7 @@ def _turning(corners: FloatArray) -> FloatArray:
     return np.where(thick, np.sign(double), 0.0)
 
 
-def _mixed(turnings: IntArray) -> bool:
+def _are_mixed(turnings: IntArray) -> bool:
     return bool((turnings > 0).any() and (turnings < 0).any())
 
 

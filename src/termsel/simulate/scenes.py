@@ -245,10 +245,10 @@ def _noise_free_features(name: str, seed: int | None, roles: tuple[int, int, int
     """Return points and lines free of noise; cached, as studies and tests repeat them."""
     scene = _scene(name)
     point_rng, line_rng = _streams(scene, seed)[:2]
-    return _points(scene, point_rng, roles), _lines(scene, line_rng, n_lines)
+    return _noise_free_points(scene, point_rng, roles), _noise_free_lines(scene, line_rng, n_lines)
 
 
-def _points(scene: Scene, rng: Generator, numbers: tuple[int, int, int]) -> Points:
+def _noise_free_points(scene: Scene, rng: Generator, numbers: tuple[int, int, int]) -> Points:
     """Return points free of noise, spread over the image as a whole and role by role."""
     count = sum(numbers)
     if count == 0:
@@ -306,7 +306,7 @@ class _Placed:
         return np.minimum(distance, self._tree.query(candidates)[0]) if self._in_tree else distance
 
 
-def _lines(scene: Scene, rng: Generator, count: int) -> Lines:
+def _noise_free_lines(scene: Scene, rng: Generator, count: int) -> Lines:
     """Return lines free of noise, dense like the streets of towns, sparse elsewhere."""
     if count == 0:
         return no_lines()

@@ -52,7 +52,7 @@ def score_shape(criterion: Criterion) -> None:
     """It gives one figure for each fitted model."""
     # Searches evaluate whole populations, and a fit alone is a population of one.
     for masks in (_masks(), _masks()[:1]):
-        score = criterion.score(_fits(masks))
+        score = criterion.score(_noisy_fits(masks))
         require(isinstance(score, np.ndarray) and score.shape == (len(masks),)
                 and np.issubdtype(score.dtype, np.floating),
                 f"score() of {len(masks)} fits must be an array of {len(masks)} figures, not "
@@ -61,13 +61,13 @@ def score_shape(criterion: Criterion) -> None:
 
 def score_finite(criterion: Criterion) -> None:
     """Its figures are finite for models that are determined and have finite errors."""
-    score = criterion.score(_fits(_masks()))
+    score = criterion.score(_noisy_fits(_masks()))
     require(np.isfinite(score).all(), f"score() must be finite for finite errors, not {score}")
 
 
 def smaller_is_better(criterion: Criterion) -> None:
     """The better a model fits, the smaller the figure."""
-    score = criterion.score(_fits(_masks()))
+    score = criterion.score(_noisy_fits(_masks()))
     # Every further term that lacks makes the fit worse, far beyond the noise.
     require((np.diff(score) > 0).all(),
             "models that lack no term, then one, two and more of the terms the measurements were "
@@ -76,11 +76,11 @@ def smaller_is_better(criterion: Criterion) -> None:
 
 def deterministic(criterion: Criterion) -> None:
     """The same fits get the same figures, here and in another process."""
-    fits = _fits(_masks())
+    fits = _noisy_fits(_masks())
     first = criterion.score(fits)
     # An equal object, and one that has been in another process.
     repeated = (criterion.score(fits), type(criterion)(**criterion.options).score(fits),
-                pickled(criterion).score(_fits(_masks())))
+                pickled(criterion).score(_noisy_fits(_masks())))
     require(all(np.array_equal(first, score) for score in repeated),
             "score() of the same fits differs from one call or object to the next")
 
@@ -88,8 +88,9 @@ def deterministic(criterion: Criterion) -> None:
 def one_by_one(criterion: Criterion) -> None:
     """A model's figure does not depend on the models scored with it."""
     masks = _masks()
-    joint = criterion.score(_fits(masks))
-    single = np.concatenate([criterion.score(_fits(masks[i:i + 1])) for i in range(len(masks))])
+    joint = criterion.score(_noisy_fits(masks))
+    single = np.concatenate([criterion.score(_noisy_fits(masks[i:i + 1]))
+                             for i in range(len(masks))])
     require(np.allclose(joint, single),
             f"scored together the models get {joint}, one by one {single}; a search keeps "
             "figures and compares them later")
@@ -98,7 +99,7 @@ def one_by_one(criterion: Criterion) -> None:
 
 def inputs_unchanged(criterion: Criterion) -> None:
     """It does not change its inputs."""
-    fits = _fits(_masks())
+    fits = _noisy_fits(_masks())
     arrays = {**vars(fits), "check_errors": fits.check_errors}
     require_unchanged({f"fits.{name}": value for name, value in arrays.items()
                        if isinstance(value, np.ndarray)}, "score()", lambda: criterion.score(fits))
@@ -149,7 +150,7 @@ def _masks() -> BoolArray:
     return np.array(masks)
 
 
-def _fits(masks: BoolArray) -> Fits:
+def _noisy_fits(masks: BoolArray) -> Fits:
     """Return least-squares fits of an affine scene with noise, as from a problem."""
     model = _model()
     rng = seeded()

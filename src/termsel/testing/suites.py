@@ -93,13 +93,13 @@ def checks(thing: Any, *, expected_failures: Mapping[str, str] | None = None,
     >>> checks(Affine)[0].name
     'declaration'
     """
-    kind = _kind(thing)
+    kind = _plural_of_kind(thing)
     suite: Suite = SUITES[kind] if kind in SUITES else import_module(thing.suite).SUITE
     try:
         # The arguments are looked at before the checks are made, so that a mistake is told at once.
         signature(suite.cases).bind(thing, **about)
     except TypeError as error:
-        raise TermselError(f"the checks of {_kind(thing)}: {error}",
+        raise TermselError(f"the checks of {_plural_of_kind(thing)}: {error}",
                            hint="See the arguments of termsel.testing.checks.") from error
     return assemble(suite.functions, suite.cases(thing, **about), expected_failures)
 
@@ -126,7 +126,7 @@ def check(thing: Any, *, expected_failures: Mapping[str, str] | None = None,
     run_all(checks(thing, expected_failures=expected_failures, **about))
 
 
-def _kind(item: Any) -> str:
+def _plural_of_kind(item: Any) -> str:
     """Return the plural of what a thing is; TermselError if nothing has checks of it."""
     import click
 

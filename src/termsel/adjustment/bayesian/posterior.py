@@ -218,8 +218,8 @@ class GridCells:
     log_evidence: float  # evidence of all, as a logarithm, up to what the measurements alone say
 
 
-def _cells(line: AxisEvidence, sample: AxisEvidence, freedom: int, noise: float, *,
-           affine: bool) -> GridCells:
+def _grid_cells(line: AxisEvidence, sample: AxisEvidence, freedom: int, noise: float, *,
+                affine: bool) -> GridCells:
     """Return the likely cells of the grid of group, size of line and size of sample.
 
     What is less likely than the likeliest by MAX_LOG_RATIO is left out. An image is affine in line
@@ -402,7 +402,8 @@ def posteriors(lead: FloatArray, shrunken: FloatArray, image: FloatArray,
         evidence = [[line[0], sample[1]] for line, sample in zip(
             evidence, _axis_evidence(designs[1], targets), strict=True)]
     return [Posterior(evidence=(line, sample),
-                      cells=_cells(line, sample, freedom, noise, affine=affine), freedom=freedom,
+                      cells=_grid_cells(line, sample, freedom, noise, affine=affine),
+                      freedom=freedom,
                       noise=noise, designs=(of_line, of_sample), scales=scales, targets=targets,
                       in_use=in_use)
             for (line, sample), of_line, of_sample in zip(evidence, designs[0], designs[-1],

@@ -39,17 +39,17 @@ def orthogonal(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
     n, k = columns.shape
     # The product of both triangles is that of the columns; the second Q is orthogonal to rounding.
     if n >= MIN_ROWS_PER_COLUMN * k and k >= MIN_COLUMNS:
-        first = _step(columns)
+        first = _qr_by_cholesky(columns)
         if first is not None:
             q, r, _ = first
-            second = _step(q)
+            second = _qr_by_cholesky(q)
             if second is not None and second[2] <= CORRECTABLE:
                 return second[0], second[1] @ r
     q, r = np.linalg.qr(columns)
     return q, r
 
 
-def _step(columns: FloatArray) -> tuple[FloatArray, FloatArray, float] | None:
+def _qr_by_cholesky(columns: FloatArray) -> tuple[FloatArray, FloatArray, float] | None:
     """Return Q and R, and the largest entry of |A'A - I|; None if R cannot be computed.
 
     A are the columns (m, k). Q has their shape, and R is (k, k).

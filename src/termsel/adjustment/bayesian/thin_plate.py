@@ -169,7 +169,7 @@ def _cached_splines(measurements: Measurements, units: tuple[float, float],
         basis = _basis(affine_columns * w[:, None], positions, w, field_columns)
         if basis is None:
             return None
-        axes += _axes(basis, points.image[:, columns] * w[:, None], smoothings, criterion)
+        axes += _axis_splines(basis, points.image[:, columns] * w[:, None], smoothings, criterion)
     return ThinPlates(points, units, smoothings, (axes[0], axes[1]), field_columns)
 
 
@@ -278,8 +278,8 @@ def _basis_of_knots(q: FloatArray, positions: FloatArray, weights: FloatArray,
     return _Basis(values[large], q, eigenvectors, along)
 
 
-def _axes(basis: _Basis, targets: FloatArray, smoothings: FloatArray,
-          criterion: str) -> list[AxisSpline]:
+def _axis_splines(basis: _Basis, targets: FloatArray, smoothings: FloatArray,
+                  criterion: str) -> list[AxisSpline]:
     """Return the splines of several axes with the same weights, from targets (n, axes)."""
     free = targets - basis.q @ (basis.q.T @ targets)
     projections = basis.along(free)

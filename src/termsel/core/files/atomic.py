@@ -84,7 +84,7 @@ def private_folder(parent: Path | None = None) -> Iterator[Path]:
     The parent is by default the system's folder for temporary files.
     """
     try:
-        folder = _made(Path(gettempdir()) if parent is None else parent)
+        folder = _make_folder(Path(gettempdir()) if parent is None else parent)
     except OSError as error:
         # Who names a parent says what could not be written there.
         if parent is not None:
@@ -119,7 +119,7 @@ def new_folder(folder: Path) -> Iterator[Path]:
                            ) from error
 
 
-def _made(parent: Path) -> Path:
+def _make_folder(parent: Path) -> Path:
     """Make a private folder with a name of this process in a folder, and return it."""
     _remove_left(parent)  # processes that were killed leave theirs behind
     folder = parent / f"{_PREFIX}{_here()}-{os.getpid()}-{secrets.token_hex(6)}"
@@ -131,7 +131,7 @@ def _remove_left(parent: Path) -> None:
     """Remove the private folders of processes of this user that have ended."""
     for folder in parent.glob(f"{_PREFIX}{_here()}-*-*"):
         process = folder.name.split("-")[2]
-        if process.isdecimal() and not _runs(int(process)):
+        if process.isdecimal() and not _is_running(int(process)):
             shutil.rmtree(folder, ignore_errors=True)
 
 
@@ -144,7 +144,7 @@ def _here() -> str:
     return f"{zlib.crc32(f'{platform.node()} {space}'.encode()):08x}"
 
 
-def _runs(process: int) -> bool:
+def _is_running(process: int) -> bool:
     """Return whether a process still exists."""
     if sys.platform == "win32":  # os.kill would end it; what is left there stays
         return True

@@ -30,7 +30,7 @@ def locked(folder: Path, hint: str = "Wait for it, or choose another --out.") ->
     there is a link anywhere in the folder, which nobody follows.
     """
     refuse_links(folder)
-    with _held(folder, hint) as file:
+    with _hold_lock(folder, hint) as file:
         try:
             # Who is refused reads here whom it waits for.
             file.truncate(0)
@@ -42,14 +42,14 @@ def locked(folder: Path, hint: str = "Wait for it, or choose another --out.") ->
 
 
 @contextmanager
-def _held(folder: Path, hint: str) -> Iterator[FileIO]:
+def _hold_lock(folder: Path, hint: str) -> Iterator[FileIO]:
     """Yield the file of a lock that is held, and remove the file at the end."""
     # Who asks for the status holds it for a moment.
     for i in range(5):
         if i:
             time.sleep(0.1)
         with _opened_lock(folder, "a+b") as file:
-            if not _free(file, folder):
+            if not _take_lock_of_folder(file, folder):
                 continue
             # A lock on a removed file would exclude nobody.
             if not _is_at(file, folder / LOCK):  # who held it before has removed this file
@@ -73,7 +73,7 @@ def turn(path: Path, seconds: float) -> FileIO | None:
         file = files.enter_context(open(path, "a+b", buffering=0))
         while time.monotonic() < until:
             # Polled, as no system lets a process wait for a lock and for a time at once.
-            if _taken(file):
+            if _try_lock(file):
                 files.pop_all()  # it is closed by `end_turn`
                 return file
             time.sleep(0.05)
@@ -91,7 +91,7 @@ def holder(folder: Path) -> str | None:
     if not inside(folder, LOCK).exists():
         return None
     with _opened_lock(folder, "r+b") as file:
-        if _free(file, folder):
+        if _take_lock_of_folder(file, folder):
             return None
         # Held by another process: it wrote its name at the beginning.
         file.seek(0)
@@ -112,15 +112,15 @@ def _opened_lock(folder: Path, mode: Literal["a+b", "r+b"]) -> Iterator[FileIO]:
         file.close()
 
 
-def _free(file: FileIO, folder: Path) -> bool:
+def _take_lock_of_folder(file: FileIO, folder: Path) -> bool:
     """Take the lock of a folder if no other process has it."""
     try:
-        return _taken(file)
+        return _try_lock(file)
     except OSError as error:
         raise _unwritable(folder, error) from error
 
 
-def _taken(file: FileIO) -> bool:
+def _try_lock(file: FileIO) -> bool:
     """Take a lock and return True; return False if another process has it."""
     try:
         _lock(file)

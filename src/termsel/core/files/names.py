@@ -53,26 +53,26 @@ def no_such_file(path: Path | str) -> TermselError:
 
 def is_open_pipe(path: Path) -> bool:
     """Return whether this is a pipe that the shell has opened: ``<(...)`` or /dev/stdin."""
-    return str(path).startswith(("/dev/", "/proc/")) and _kind(path) == stat.S_IFIFO
+    return str(path).startswith(("/dev/", "/proc/")) and _file_type(path) == stat.S_IFIFO
 
 
 def refuse_pipe(path: Path) -> None:
     """Refuse a pipe or a device, which cannot be read twice or never ends."""
-    if _kind(path) not in (None, stat.S_IFREG, stat.S_IFDIR):
+    if _file_type(path) not in (None, stat.S_IFREG, stat.S_IFDIR):
         raise TermselError("this is a pipe or a device, expected a file", file=path,
                            hint="Save its content to a file, and give that file.")
 
 
 def require_regular(path: Path, named_by: object = None) -> None:
     """Raise TermselError for a pipe or device, which a file may name or be next to."""
-    if _kind(path) not in (None, stat.S_IFREG):
+    if _file_type(path) not in (None, stat.S_IFREG):
         prefix = "" if named_by is None or str(named_by) == str(path) else f"{path.name!r}: "
         raise TermselError(f"{prefix}this is a pipe or a device, expected a file",
                            file=path if named_by is None else named_by,
                            hint="Save its content to a file, and give that file.")
 
 
-def _kind(path: Path) -> int | None:
+def _file_type(path: Path) -> int | None:
     """Return the type of a file as stat has it, such as S_IFREG; None if it cannot be looked at."""
     try:
         return stat.S_IFMT(path.stat().st_mode)
@@ -98,7 +98,7 @@ def inside(folder: Path, name: str) -> Path:
 def refuse_link(path: Path) -> None:
     """Refuse a link in a folder that may have come with data."""
     if os.path.islink(path):
-        raise _linked(path)
+        raise _link_error(path)
 
 
 def refuse_links(folder: Path) -> None:
@@ -123,7 +123,7 @@ def refuse_links(folder: Path) -> None:
             continue
 
 
-def _linked(path: Path) -> TermselError:
+def _link_error(path: Path) -> TermselError:
     """Return the error for a link in the folder of a result, study or block."""
     return TermselError("this is a link, and in the folder of a result, study or block no link is "
                         "followed", file=path,

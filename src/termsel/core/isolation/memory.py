@@ -31,9 +31,9 @@ def out_of_memory(error: MemoryError) -> TermselError:
     problem = "there is not enough memory"
     if shape and required:
         lengths = " x ".join(f"{length:,}" for length in shape)
-        problem += f" for an array of {lengths}: {_text(required)}"
+        problem += f" for an array of {lengths}: {_bytes_in_words(required)}"
     if free is not None:
-        problem += f"; {_text(free)} are free"
+        problem += f"; {_bytes_in_words(free)} are free"
     hint = "Give fewer points, a smaller part of the image or a simpler model, or run it on a " \
            "machine, or with a limit (ulimit -v, or that of the batch system), of more memory."
     if free is not None and shape and required > free > 0:
@@ -80,6 +80,6 @@ def _memory_below_limit() -> float | None:
     return float(limit - pages * resource.getpagesize())
 
 
-def _text(size: float) -> str:
+def _bytes_in_words(size: float) -> str:
     """Return a number of bytes in words."""
     return f"{size / 2**30:,.1f} GiB" if size >= 2**29 else f"{size / 2**20:,.0f} MiB"

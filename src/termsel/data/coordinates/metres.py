@@ -26,7 +26,7 @@ from termsel.data.features import FloatArray
 def in_metres(crs: str, positions: FloatArray, offsets: FloatArray) -> FloatArray | None:
     """Return offsets (n, 2) to east and north of positions in metres; None if the unit is unknown.
     """
-    if _kind(crs)[0]:
+    if _kind_and_units(crs)[0]:
         # Radii of curvature: N = a / W along the parallel, M = a (1 - e^2) / W^3 along the
         # meridian, with W^2 = 1 - e^2 sin^2 (latitude).
         major, eccentricity = ellipsoid_of(crs)
@@ -38,13 +38,13 @@ def in_metres(crs: str, positions: FloatArray, offsets: FloatArray) -> FloatArra
         x = (offsets[:, 0] + 180.0) % 360.0 - 180.0
         return np.column_stack([np.radians(x) * normal_radius * np.cos(latitude),
                                 np.radians(offsets[:, 1]) * meridian_radius])
-    unit = _kind(crs)[2]
+    unit = _kind_and_units(crs)[2]
     return None if unit is None else offsets * unit
 
 
 def is_in_degrees(crs: str) -> bool:
     """Return whether x and y are longitude and latitude."""
-    return _kind(crs)[0]
+    return _kind_and_units(crs)[0]
 
 
 def plan_of(crs: str, ground: FloatArray) -> FloatArray | None:
@@ -53,7 +53,7 @@ def plan_of(crs: str, ground: FloatArray) -> FloatArray | None:
     In the units of x and y where nobody knows these. None for geocentric coordinates, in which a
     scene may be seen from its side.
     """
-    if crs and _kind(crs)[1]:
+    if crs and _kind_and_units(crs)[1]:
         return None
     plan = ground[:, :2] - ground[:, :2].mean(axis=0)
     metres = in_metres(crs, ground, plan) if crs else None
@@ -62,11 +62,11 @@ def plan_of(crs: str, ground: FloatArray) -> FloatArray | None:
 
 def height_unit(crs: str) -> float:
     """Return the unit of heights [m]; 1 where nobody knows it."""
-    return _kind(crs)[3] if crs else 1.0
+    return _kind_and_units(crs)[3] if crs else 1.0
 
 
 @lru_cache
-def _kind(crs: str) -> tuple[bool, bool, float | None, float]:
+def _kind_and_units(crs: str) -> tuple[bool, bool, float | None, float]:
     """Return whether a CRS is geographic, whether geocentric, and its units in metres.
 
     The units are those of the plane, None if not known, and of heights. It is cached, as it is

@@ -181,7 +181,7 @@ def lattice_of(points: Points) -> Lattice | None:
             or len(np.unique(line * columns + column)) < len(points):
         return None
     lattice = Lattice(line, column)
-    noise = _noise(points, lattice)
+    noise = _noise_along_lines(points, lattice)
     return lattice if noise is None or noise <= np.hypot(SMOOTH, _rounding(points)) else None
 
 
@@ -193,13 +193,13 @@ def _ranks_of_values(values: FloatArray) -> IntArray:
     return ranks
 
 
-def _noise(points: Points, lattice: Lattice) -> float | None:
+def _noise_along_lines(points: Points, lattice: Lattice) -> float | None:
     """Return the noise of the ground along lines [px]; None where too few neighbours show it.
 
     In each run of neighbours on a line, weights take out a cubic polynomial of the sample. Of a
     smooth geometry they leave of longitude and latitude what they leave of smooth columns.
     """
-    runs = np.array(list(_runs(lattice)), dtype=np.intp).reshape(-1, _RUN)
+    runs = np.array(list(_runs_of_neighbours(lattice)), dtype=np.intp).reshape(-1, _RUN)
     if len(runs) < _ENOUGH:
         return None
     weights = _without_cubic(points.image[runs, 1])
@@ -254,7 +254,7 @@ def _smooth_columns(points: Points) -> FloatArray:
                      *(height**2 * factor for factor in (1.0, line, sample))], axis=1)
 
 
-def _runs(lattice: Lattice) -> Iterator[IntArray]:
+def _runs_of_neighbours(lattice: Lattice) -> Iterator[IntArray]:
     """Yield the indices (r,) of points that are neighbours on a line, one run after the other."""
     order = np.lexsort((lattice.column, lattice.line))
     for start in range(len(order) - _RUN + 1):

@@ -84,15 +84,15 @@ def folded(name: str) -> str:
 
 
 @lru_cache(10_000)
-def _forms(name: str) -> tuple[str, str]:
+def _folded_forms(name: str) -> tuple[str, str]:
     """Return a column's name folded with and without its unit: Line (px) is "linepx" and "line"."""
     normal = unicodedata.normalize("NFKC", name.strip().casefold())
     return folded(normal), folded(_UNIT.sub("", normal))
 
 
 @lru_cache(100)
-def _names(aliases: tuple[tuple[str, tuple[str, ...]], ...],
-           ) -> tuple[dict[str, tuple[frozenset[str], frozenset[str]]], frozenset[str]]:
+def _names_by_meaning(aliases: tuple[tuple[str, tuple[str, ...]], ...],
+                      ) -> tuple[dict[str, tuple[frozenset[str], frozenset[str]]], frozenset[str]]:
     """Return the plain and the further names of each meaning, and all of them."""
     names = {}
     for meaning, plain_names in aliases:
@@ -106,10 +106,10 @@ def _names(aliases: tuple[tuple[str, tuple[str, ...]], ...],
 
 def matches(header: Sequence[str], aliases: Aliases) -> dict[str, list[int]]:
     """Return the columns that could hold each meaning, by their names."""
-    names_of, all_names = _names(tuple(
+    names_of, all_names = _names_by_meaning(tuple(
         (meaning, tuple(names)) for meaning, names in aliases.items()))
     # Most rows that are asked about hold numbers, none of which is a name.
-    forms = {i: pair for i, pair in enumerate(map(_forms, header))
+    forms = {i: pair for i, pair in enumerate(map(_folded_forms, header))
              if not all_names.isdisjoint(pair)}
     if not forms:
         return {meaning: [] for meaning in names_of}
@@ -286,11 +286,11 @@ def read_numbers(cells: Sequence[str], sign: str, *, may_be_blank: bool, angle: 
             values = np.fromiter(map(float, texts), np.float64, len(cells))
             if np.isfinite(values[~blank]).all():
                 return values
-    return np.array([_number(row, cell, sign, may_be_blank, angle)
+    return np.array([_number_of_cell(row, cell, sign, may_be_blank, angle)
                      for row, cell in enumerate(cells)])
 
 
-def _number(row: int, cell: str, sign: str, may_be_blank: bool, angle: str) -> float:
+def _number_of_cell(row: int, cell: str, sign: str, may_be_blank: bool, angle: str) -> float:
     """Return the number of a cell, NaN of one that may be blank.
 
     Raises BadCell, with the row, if it is not a plain, finite number.

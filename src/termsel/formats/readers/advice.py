@@ -60,7 +60,7 @@ def with_advice(error: TermselError, header: Sequence[str], rows: Sequence[Seque
     for meanings in _ways_to_take_names(header, known_columns):
         for reading in _readings(rows, len(header), meanings):
             readings.append({**reading, **meanings})
-    numbers = _numbers([row for row in rows[:_ROWS] if len(row) == len(header)])
+    numbers = _number_columns([row for row in rows[:_ROWS] if len(row) == len(header)])
     in_image = [reading for reading in readings if _is_in_an_image(numbers, reading)]
     complete = [reading for reading in in_image if reading.keys() >= _REQUIRED]
     if names_may_mislead and not any(_shows_ground(numbers, reading) for reading in complete):
@@ -236,7 +236,7 @@ def unknown_table(path: Path, expected: str, columns: str) -> TermselError | Non
         return error if is_table else None
     rows = [row for row in cells.rows[:_ROWS] if len(row) == len(cells.rows[-1]) <= WIDEST
             and not counts_columns(row)]
-    values = _numbers(rows[1:])
+    values = _number_columns(rows[1:])
     if len(rows) >= 2 and rows[0] and (
             missing := _missing_pair(path, rows[0], list(values), expected)):
         return missing
@@ -247,7 +247,7 @@ def unknown_table(path: Path, expected: str, columns: str) -> TermselError | Non
             "this is text, not a spreadsheet, and has no table of points", file=path,
             hint=expected)
     # A header has no numbers above columns of numbers.
-    bare = any(i in _numbers(rows[:1]) for i in values)
+    bare = any(i in _number_columns(rows[:1]) for i in values)
     header = [str(i + 1) for i in range(len(rows[0]))] if bare else rows[0]
     by_name = {meaning: columns[0] for meaning, columns in matches(header, POINTS).items()
                if columns}
@@ -291,7 +291,7 @@ def _crs_of(comments: Mapping[int, str]) -> str:
     return short(crs) if crs else ""
 
 
-def _numbers(rows: Sequence[Sequence[str]]) -> dict[int, FloatArray]:
+def _number_columns(rows: Sequence[Sequence[str]]) -> dict[int, FloatArray]:
     """Return the columns that hold numbers alone, (n,) each, by their index."""
     numbers: dict[int, FloatArray] = {}
     for i, cells in enumerate(zip(*rows, strict=True)):
@@ -316,7 +316,8 @@ def _readings(rows: Sequence[Sequence[str]], width: int,
     of text, is their id. Of the others, pairs lie next to each other: sample and line, x and y.
     """
     rows = [row for row in rows[:_ROWS] if len(row) == width]
-    numbers = {i: column for i, column in _numbers(rows).items() if i not in known_columns.values()}
+    numbers = {i: column for i, column in _number_columns(rows).items()
+               if i not in known_columns.values()}
     extra = _id_and_flags(rows, numbers, known_columns)
     # A constant column is no coordinate.
     taken_columns = extra.values()
@@ -325,7 +326,7 @@ def _readings(rows: Sequence[Sequence[str]], width: int,
     coordinates = known_columns.keys() & {"line", "sample", "x", "y", "z"}
     if not coordinates and len(values) in (4, 5):
         return [extra | reading for reading in _readings_of_pairs(values)]
-    of_pair = _readings_of_one_pair(_numbers(rows), values, known_columns)
+    of_pair = _readings_of_one_pair(_number_columns(rows), values, known_columns)
     if of_pair:
         return [extra | reading for reading in of_pair]
     missing = [name for name in ("x", "y", "z", "sample", "line") if name not in known_columns]

@@ -42,7 +42,7 @@ class GeoJsonPoints(Reader):
     def read(self, path: Path) -> FeatureSet:
         """Return the points; errors name file, feature and property."""
         features, crs = read_geojson(path, POINT_KINDS)
-        table = _table(path, features, self.options)
+        table = _table_of_features(path, features, self.options)
         # Without heights the CRS must not claim a meaning of heights.
         flat = "z" not in table.columns or not any(table.columns["z"])
         return points_of(table, crs or ("EPSG:4326" if flat else "EPSG:4979"))
@@ -67,7 +67,7 @@ class VectorPoints(Reader):
     def read(self, path: Path) -> FeatureSet:
         """Return the points; errors name file, feature and column."""
         features, crs = read_layer(path, self.options["layer"], POINT_KINDS)
-        return points_of(_table(path, features, self.options), crs)
+        return points_of(_table_of_features(path, features, self.options), crs)
 
     def parts(self, path: Path) -> dict[str, dict[str, Any]]:
         """Return the images of the points, each of which is a part."""
@@ -80,7 +80,7 @@ def _images_of(features: Sequence[Feature]) -> dict[str, dict[str, Any]]:
     return {image: {"image_name": image} for image in images} if len(images) > 1 else {}
 
 
-def _table(path: Path, features: list[Feature], options: Mapping[str, Any]) -> Table:
+def _table_of_features(path: Path, features: list[Feature], options: Mapping[str, Any]) -> Table:
     """Return the properties and vertices of the features of one image, by their meaning."""
     names = [feature.text("filename") for feature in features]
     image = image_of(path, names, options["image_name"], "image_name=NAME")

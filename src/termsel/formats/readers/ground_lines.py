@@ -129,7 +129,7 @@ def _join_image_lines(path: Path, features: list[Feature], crs: str, image_lines
     grounds: list[FloatArray] = []
     for name, measured in image.items():
         try:
-            for image_piece, ground_piece in _pieces(name, measured, ground[name]):
+            for image_piece, ground_piece in _pieces_of_feature(name, measured, ground[name]):
                 ids.append(name)
                 images.append(image_piece)
                 grounds.append(ground_piece)
@@ -145,8 +145,8 @@ def _join_image_lines(path: Path, features: list[Feature], crs: str, image_lines
     return FeatureSet(lines=lines, crs=crs)
 
 
-def _pieces(name: str, image: list[FloatArray], ground: list[FloatArray],
-            ) -> Iterable[tuple[FloatArray, FloatArray]]:
+def _pieces_of_feature(name: str, image: list[FloatArray], ground: list[FloatArray],
+                       ) -> Iterable[tuple[FloatArray, FloatArray]]:
     """Yield image and ground, (2, 2) and (2, 3), of the pieces of one feature.
 
     Raises TermselError for a line of zero length, and for pieces that do not match.

@@ -66,7 +66,7 @@ class PointsJson(PointsCsv):
         records = max(_lists(tree), key=len, default=[])
         if not records:
             raise TermselError("this JSON has no list of objects", file=path, hint=_HINT)
-        return of_records([_flat(record) for record in records], "object", {})
+        return of_records([_with_own_attributes(record) for record in records], "object", {})
 
 
 def _lists(tree: object) -> Iterator[list[Mapping[str, Any]]]:
@@ -77,7 +77,7 @@ def _lists(tree: object) -> Iterator[list[Mapping[str, Any]]]:
             yield value
 
 
-def _flat(record: Mapping[str, Any]) -> dict[str, Any]:
+def _with_own_attributes(record: Mapping[str, Any]) -> dict[str, Any]:
     """Return an object whose "attributes" are keys of its own; others stay as they are."""
     attributes = record.get("attributes")
     return {**record, **attributes} if isinstance(attributes, dict) else dict(record)

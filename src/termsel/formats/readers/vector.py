@@ -79,7 +79,7 @@ def open_layer(path: Path, layer: str | None, kinds: Container[str],
         # A layer of mixed geometries has the kind Unknown: the next best.
         layer = next((key for key, kind in layers.items() if kind in kinds),
                      next((key for key, kind in layers.items() if kind == "Unknown"), None))
-    meta, geometries, values = apart(_layer, path, layer, columns)
+    meta, geometries, values = apart(_read_layer, path, layer, columns)
     # A CRS may name grid files, which PROJ would open.
     refuse_grids(str(meta["crs"] or ""), path)
     try:
@@ -96,8 +96,8 @@ def _layers(path: Path) -> dict[str, str]:
         return {str(key): str(kind).split(" ")[0] for key, kind in list_layers(name)}
 
 
-def _layer(path: Path, layer: str | None, columns: list[str] | None,
-           ) -> tuple[dict[str, Any], Any, list[Any]]:
+def _read_layer(path: Path, layer: str | None, columns: list[str] | None,
+                ) -> tuple[dict[str, Any], Any, list[Any]]:
     """Return metadata of a layer, its geometries and its columns; called in GDAL's process."""
     from pyogrio.raw import read
 
@@ -221,7 +221,7 @@ def read_layer(path: Path, layer: str | None, kinds: Mapping[str, int],
                            hint="Choose another layer: --set layer=NAME.")
     features = []
     for number, shape in enumerate(shapes, 1):
-        properties = {name: _plain(values[number - 1])
+        properties = {name: _number_or_text(values[number - 1])
                       for name, values in zip(names, columns, strict=True)}
         feature = Feature(path, number, properties, [])
         kind = "missing" if shape is None or shape.is_empty else shape.geom_type
@@ -233,7 +233,7 @@ def read_layer(path: Path, layer: str | None, kinds: Mapping[str, int],
     return features, str(meta["crs"] or "")
 
 
-def _plain(value: Any) -> Any:
+def _number_or_text(value: Any) -> Any:
     """Return a cell as a number or text; whole numbers, as many ids are, without a point."""
     if isinstance(value, float | np.floating):
         number = float(value)

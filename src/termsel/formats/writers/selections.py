@@ -60,7 +60,7 @@ def gcps_of(result: Result) -> tuple[Points, Points, str]:
     return used, replace(used, ground=np.nan_to_num(ground)), crs
 
 
-def _errors(result: Result) -> FloatArray:
+def _errors_of_points(result: Result) -> FloatArray:
     """Return measured minus computed line and sample of all points, (n, 2) [px].
 
     NaN where a height that the model uses is not known.
@@ -90,7 +90,7 @@ class QgisPointsWriter(SelectionWriter):
         rows = []
         for (x, y, _), (line, sample), selected, (dl, ds) in zip(
                 points.ground.tolist(), points.image.tolist(), _chosen(result),
-                np.nan_to_num(_errors(result)).tolist(), strict=True):
+                np.nan_to_num(_errors_of_points(result)).tolist(), strict=True):
             # Pixel edges are whole numbers. Of places y points up, of residuals down.
             values = (x, y, sample + 0.5, -line - 0.5, int(selected), -ds, -dl, math.hypot(dl, ds))
             rows.append(",".join(map(repr, values)))
@@ -134,7 +134,7 @@ class PointsTable(SelectionWriter):
         _require_accepted(self, result, path, _NO_POINTS)
         points = result.features.points
         selected = _chosen(result)
-        errors = _errors(result)
+        errors = _errors_of_points(result)
         # As measured, in the CRS as given, so that the table can be read again.
         header, measured = point_columns(points)
         header = ["id", "role", "enabled", *header, "computed_line", "computed_sample",

@@ -79,8 +79,8 @@ def image_extent(view: View) -> Extent:
             for row, length in zip(view.in_image, lengths, strict=True)
             if length <= longest]
     return Extent(
-        _reach([left_sample - margin, right_sample + margin], [sample for sample, _ in ends]),
-        _reach([top - above, bottom + above], [line for _, line in ends]), scale)
+        _limits([left_sample - margin, right_sample + margin], [sample for sample, _ in ends]),
+        _limits([top - above, bottom + above], [line for _, line in ends]), scale)
 
 
 def ground_extent(view: View) -> Extent:
@@ -97,9 +97,9 @@ def ground_extent(view: View) -> Extent:
     ends = [(row["x"] + scale * row["dx"], row["y"] + scale * row["dy"])
             for row, length in zip(view.on_ground, lengths, strict=True)
             if length <= longest]
-    low, high = _reach([south, north + margin], [y for _, y in ends])
+    low, high = _limits([south, north + margin], [y for _, y in ends])
     # The bar of the scale lies below all of them.
-    return Extent(_reach([west - across, east + across], [x for x, _ in ends]),
+    return Extent(_limits([west - across, east + across], [x for x, _ in ends]),
                   (low - 2 * margin, high), scale)
 
 
@@ -108,7 +108,7 @@ def _longest_ordinary(lengths: list[float]) -> float:
     return ORDINARY * float(np.median(lengths)) if lengths else 0.0
 
 
-def _reach(values: list[float], more: list[float]) -> tuple[float, float]:
+def _limits(values: list[float], more: list[float]) -> tuple[float, float]:
     """Return the least and the greatest of all values."""
     return min(*values, *more), max(*values, *more)
 

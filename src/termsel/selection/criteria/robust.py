@@ -10,7 +10,7 @@ from termsel.fitting.population import Fits
 from termsel.selection.criteria.base import Criterion
 
 
-def _figure(fits: Fits, loss: str, threshold: float = THRESHOLD.default) -> FloatArray:
+def _robust_figure(fits: Fits, loss: str, threshold: float = THRESHOLD.default) -> FloatArray:
     """Return the figure of the distances sqrt(dl^2 + ds^2) of the selection points [px]."""
     # Beyond a pole errors may overflow; the figure then is infinite.
     with np.errstate(over="ignore", invalid="ignore"):
@@ -37,7 +37,7 @@ class Median(Criterion):
 
     def score(self, fits: Fits) -> FloatArray:
         """Return the figure [px]."""
-        return _figure(fits, MEDIAN)
+        return _robust_figure(fits, MEDIAN)
 
 
 class Huber(Criterion):
@@ -60,4 +60,4 @@ class Huber(Criterion):
 
     def score(self, fits: Fits) -> FloatArray:
         """Return the figure [px]."""
-        return _figure(fits, HUBER, self.options["threshold"])
+        return _robust_figure(fits, HUBER, self.options["threshold"])

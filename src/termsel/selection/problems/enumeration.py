@@ -60,8 +60,8 @@ def enumerable_parts(inputs: ProblemData, equations: Equations, genome: Genome,
     parents = np.zeros((len(axis), len(axis)), dtype=bool)
     if pairs is not None:
         parents[pairs] = True
-    axis_systems = [_side(model, inputs, equations, image_axis=image_axis, guard=guard,
-                          margin=margin, parents=parents if pairs else None)
+    axis_systems = [_axis_system(model, inputs, equations, image_axis=image_axis, guard=guard,
+                                 margin=margin, parents=parents if pairs else None)
                     for image_axis in (LINE, SAMPLE)]
     genes = [gene_of_term[axis == image_axis] for image_axis in (LINE, SAMPLE)]
     # A shared mask is one system with two right-hand sides, if their columns are the same.
@@ -117,8 +117,8 @@ def _not_enumerable(why: str) -> TermselError:
                         hint="Choose another solver, such as --solver ga or --solver swap.")
 
 
-def _side(model: RationalModel, inputs: ProblemData, equations: Equations, image_axis: int,
-          guard: FloatArray, margin: float, parents: BoolArray | None) -> SubsetSystem:
+def _axis_system(model: RationalModel, inputs: ProblemData, equations: Equations, image_axis: int,
+                 guard: FloatArray, margin: float, parents: BoolArray | None) -> SubsetSystem:
     """Return the system of one axis with the errors at the selection points."""
     points = inputs.control.points
     term_axes = model.axis

@@ -185,8 +185,8 @@ class Stage:
     def _require_same(self, evaluation: Evaluation, problem: Problem, genes: Any) -> None:
         """Evaluate one selection again: other data give other figures."""
         again = problem.evaluate(genes[:1])
-        if not (_alike(again.objectives[0], evaluation.objectives[0])
-                and _alike(again.violation[:1], evaluation.violation[:1])):
+        if not (_are_alike(again.objectives[0], evaluation.objectives[0])
+                and _are_alike(again.violation[:1], evaluation.violation[:1])):
             raise TermselError("the checkpoint is of other data, or of another problem",
                                hint="Give the name of a new file, or what the file was made with.",
                                file=self.path)
@@ -237,5 +237,5 @@ def _digest(keys: Sequence[bytes]) -> str:
     return b64encode(blake2b(b"".join(keys), digest_size=12).digest()).decode()
 
 
-def _alike(values: FloatArray, others: FloatArray) -> bool:
+def _are_alike(values: FloatArray, others: FloatArray) -> bool:
     return bool(np.allclose(values, others, rtol=_TOLERANCE, atol=0.0))

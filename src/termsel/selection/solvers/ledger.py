@@ -149,7 +149,7 @@ class Ledger(ProblemAround):
             if not (objectives[front_rows] <= objectives[row]).all(axis=1).any():
                 front_rows.append(int(row))
         keys = list(self._row_of)
-        return [_genes(keys[row], self.genome) for row in front_rows]
+        return [_genes_of_key(keys[row], self.genome) for row in front_rows]
 
     def _look_up(self, genes: Genes, near: Genes | None) -> Evaluation:
         """Evaluate individuals that are not known yet, and return the evaluation of all."""
@@ -251,7 +251,7 @@ def _keys(genes: Genes) -> list[bytes]:
     return keys
 
 
-def _genes(key: bytes, genome: Genome) -> Genes:
+def _genes_of_key(key: bytes, genome: Genome) -> Genes:
     """Return the individual that has a key."""
     if genome.dtype == np.bool_:
         packed = np.frombuffer(key, dtype=np.uint8)

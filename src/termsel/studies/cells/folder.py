@@ -111,7 +111,7 @@ def status(folder: Path) -> tuple[StudyProgress, str | None]:
 def table_of(spec: Spec) -> dict[str, Any]:
     """Return a spec as the table of a study's file; `spec_of` is the inverse."""
     table = {
-        "title": spec.title, **{kind: list(map(_named, getattr(spec, kind))) for kind in PARTS},
+        "title": spec.title, **{kind: list(map(_part_name, getattr(spec, kind))) for kind in PARTS},
         "strategies": spec.strategies,
         "data": [_table_of_source(source) for source in spec.data if not source.features],
         "seeds": spec.seeds, "splits": spec.splits, "budget": spec.budget, "options": spec.options,
@@ -121,7 +121,7 @@ def table_of(spec: Spec) -> dict[str, Any]:
     return {key: value for key, value in table.items() if value}
 
 
-def _named(component: PartSpec) -> dict[str, Any]:
+def _part_name(component: PartSpec) -> dict[str, Any]:
     return {"name": component.name, "label": component.label, **component.options}
 
 

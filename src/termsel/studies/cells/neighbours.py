@@ -91,7 +91,7 @@ def _elsewhere(settings: Mapping[str, Mapping[str, Any]]) -> list[tuple[str, dic
         return []
     # Great-circle angles, so that poles and the 180 degree meridian need no care.
     distances = _angles(positions, positions)
-    reach = _reach(distances)
+    reach = _reach_of_group(distances)
     groups = _groups(distances <= reach)
     # The group with most images, if it has most of the batch.
     usual = max(groups, key=lambda group: count[group].sum())
@@ -175,7 +175,7 @@ def _middle(positions: FloatArray) -> Place:
     return float(np.degrees(np.arctan2(y, x))), float(np.degrees(np.arctan2(z, np.hypot(x, y))))
 
 
-def _reach(distances: FloatArray) -> float:
+def _reach_of_group(distances: FloatArray) -> float:
     """Return the distance beyond which a place no longer belongs to its neighbours [deg]."""
     if len(distances) < 2:
         return NEAREST

@@ -139,7 +139,7 @@ def csv_of(rows: Sequence[Row], columns: Sequence[str]) -> str:
     """Return rows as CSV; lists have semicolons, and a value that is not known is blank."""
     lines: list[Sequence[Any]] = [columns]
     for row in rows:
-        lines.append([_cell(_readable(row[name]) if name in _IN_SIX_DIGITS else row[name])
+        lines.append([_as_cell(_readable(row[name]) if name in _IN_SIX_DIGITS else row[name])
                       for name in columns])
     return csv_table(lines)
 
@@ -151,7 +151,7 @@ def _readable(value: Any) -> Any:
     return 0.0 if abs(value) < _ROUNDING else float(f"{value:.6g}")
 
 
-def _cell(value: Any) -> Any:
+def _as_cell(value: Any) -> Any:
     """Return a value as a cell of CSV: "" for None and NaN, lists with semicolons."""
     # NaN of a figure that has no meaning is a blank cell, too.
     if value is None or (isinstance(value, float) and not math.isfinite(value)):

@@ -171,7 +171,7 @@ def _search_as_asked(cell: Cell, features: FeatureSet, trace: _Trace) -> tuple[
     # takes longer than most searches and is the same for all seeds.
     figures: dict[str, Any] = {
         "objective": task.problem.objectives[0],
-        "proven": _proven(task, search),
+        "proven": _is_proven(task, search),
         "fitness": fitness,
         "optimum": _optimum(cell, task, search) if is_judged else None,
         **_rmse({"control": fitted.control_rmse(),
@@ -206,7 +206,7 @@ def _rmse(by_role: Mapping[str, Rmse | None]) -> dict[str, float | int | None]:
             **{f"n_{role}": 0 if rmse is None else rmse.n for role, rmse in by_role.items()}}
 
 
-def _proven(task: Task, search: SearchResult) -> bool:
+def _is_proven(task: Task, search: SearchResult) -> bool:
     """Return whether a search proved the optimum of all selections, not of the smaller ones."""
     certificate = search.certificate or {}
     if not certificate.get("optimal"):
@@ -220,7 +220,7 @@ def _proven(task: Task, search: SearchResult) -> bool:
 def _optimum(cell: Cell, task: Task, search: SearchResult) -> float | None:
     """Return the proven optimum of the problem; None if it is not known quickly."""
     value = float(search.objectives[0])
-    if _proven(task, search):
+    if _is_proven(task, search):
         return value
     if len(task.problem.objectives) > 1:
         return None

@@ -137,7 +137,7 @@ def _data_of_source(spec: Spec, source: Source, folder: Path) -> Iterator[Data]:
                    for kind, patterns in source.files.items()}
         for files in _together(spec, source, matched):
             for part_name, options in _options_by_part(source, files, folder).items():
-                yield _read(source, files, folder, part_name, options)
+                yield _read_image(source, files, folder, part_name, options)
 
 
 def _matching_files(spec: Spec, source: Source, kind: str, patterns: tuple[str, ...],
@@ -217,8 +217,8 @@ def _options_by_part(source: Source, files: Mapping[str, str], folder: Path) -> 
         return undivided  # it is told when the file is read
 
 
-def _read(source: Source, files: Mapping[str, str], folder: Path, part_name: str,
-          options: Mapping[str, Any]) -> Data:
+def _read_image(source: Source, files: Mapping[str, str], folder: Path, part_name: str,
+                options: Mapping[str, Any]) -> Data:
     """Return the data of files of one image, or why they cannot be read."""
     label = " + ".join(dict.fromkeys(files.values()))
     if part_name:

@@ -81,7 +81,7 @@ class Proof:
         costs = []
         for subproblem, result, fewest in zip(self.parts, self.results, self.minimum, strict=True):
             scores = result.floor if floor else result.best
-            costs.append(_cost(scores, subproblem, fewest))
+            costs.append(_cost_by_size(scores, subproblem, fewest))
         return costs
 
     def _objective(self, best: float) -> Callable[[float], float] | None:
@@ -125,7 +125,7 @@ class Proof:
 
         By number of genes; the last is the best of all. Empty where nothing is feasible.
         """
-        total, sizes = _joint(self._costs())
+        total, sizes = _least_joint_cost(self._costs())
         return [self._genes(sizes[i].tolist()) for i in np.flatnonzero(_beats_smaller_sizes(total))]
 
     def by_size(self, problem: Problem) -> list[SizeProof]:
@@ -136,14 +136,14 @@ class Proof:
         other for some i. Its bound is the least sum of the bounds over all such i. The problem
         evaluates the selections.
         """
-        total, sizes = _joint(self._costs())
+        total, sizes = _least_joint_cost(self._costs())
         feasible_sizes = np.flatnonzero(np.isfinite(total))
         if not len(feasible_sizes):
             return []
         genes = np.array([self._genes(sizes[i].tolist()) for i in feasible_sizes])
         values, feasible = each_of(problem, genes)
         objective = self._objective(float(values[total[feasible_sizes].argmin()]))
-        floor = _joint(self._costs(floor=True))[0]
+        floor = _least_joint_cost(self._costs(floor=True))[0]
         better = _beats_smaller_sizes(total)
         proofs = []
         # Enumeration and evaluation may differ at a tolerance: what is infeasible is left out.
@@ -245,14 +245,14 @@ def each_of(problem: Problem, genes: Genes) -> tuple[FloatArray, BoolArray]:
             np.array([evaluation.violation[0] == 0 for evaluation in evaluations]))
 
 
-def _cost(scores: FloatArray, subproblem: EnumerablePart, fewest: int) -> FloatArray:
+def _cost_by_size(scores: FloatArray, subproblem: EnumerablePart, fewest: int) -> FloatArray:
     """Return the cost of a score of each size, (k + 1,); infinite for fewer than `fewest` genes."""
     cost = np.where(np.isfinite(scores), subproblem.cost(scores), np.inf)
     cost[:fewest] = np.inf
     return cost
 
 
-def _joint(costs: Sequence[FloatArray]) -> tuple[FloatArray, IntArray]:
+def _least_joint_cost(costs: Sequence[FloatArray]) -> tuple[FloatArray, IntArray]:
     """Return the least sum of costs of every total size, (n,), and the parts' sizes, (n, parts).
 
     A convolution of minima and sums, part by part.
@@ -289,10 +289,10 @@ def prove(problem: Problem, max_terms: int | None = None,
     """
     subproblems = problem.parts()
     limits = [limits_of(problem, subproblem, max_terms) for subproblem in subproblems]
-    # "rss" need not prove sizes that cost more than smaller ones: `_cost` shows it which.
+    # "rss" need not prove sizes that cost more than smaller ones: `_cost_by_size` shows it which.
     walks = [subsets.search(subproblem.system, subproblem.score, folds=subproblem.folds,
                             max_terms=largest, workers=workers or os.cpu_count() or 1,
-                            cost=partial(_cost, subproblem=subproblem, fewest=fewest))
+                            cost=partial(_cost_by_size, subproblem=subproblem, fewest=fewest))
              for subproblem, (fewest, largest) in zip(subproblems, limits, strict=True)]
     minimum = tuple(fewest for fewest, _ in limits)
     # Every part makes its first steps before any is finished, so that there is a result for each
