@@ -369,7 +369,7 @@ def _are_interleaved(ground: FloatArray, agreeing: BoolArray) -> bool:
 
 
 def _rows_spread_over_table(rows: FloatArray) -> FloatArray:
-    """Return MAX_SAMPLED_POINTS rows, evenly spread over the order of the table; all of fewer."""
+    """Return MAX_SAMPLED_POINTS of the n rows, spread over the order of the table; all of fewer."""
     return rows[np.linspace(0, len(rows) - 1, min(len(rows), MAX_SAMPLED_POINTS)).astype(np.intp)]
 
 

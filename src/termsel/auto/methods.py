@@ -124,7 +124,7 @@ class _OfCamera(Structure):
     """A projection that is a camera with few unknowns."""
 
     def declines(self, control: FitData) -> str | None:
-        """Return why it is not for lines, or for coordinates of which nobody knows the level."""
+        """Return why it cannot be used, as with lines or an unknown level; None if it can."""
         if len(control.features.lines):
             return f"{self.title} takes points alone, and there are lines"
         # A camera needs an up: geocentric coordinates have none.

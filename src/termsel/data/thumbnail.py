@@ -54,7 +54,7 @@ def thumbnail(path: Path | str, expected: tuple[int, int] | None = None,
 
 
 def _brightness(table: dict[int, tuple[int, int, int, int]], largest: int) -> FloatArray:
-    """Return how bright the colour of each index is, 0 to 255."""
+    """Return the brightness of the colour of each index, 0 to 255, (colours,)."""
     colours = np.zeros((max(largest, *table) + 1, 3))
     for index, colour in table.items():
         colours[index] = colour[:3]

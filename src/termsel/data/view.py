@@ -130,11 +130,11 @@ class CentralView:
         return self.nearest / middle if middle > 0.0 else 0.0
 
     def shows(self, ground: FloatArray) -> BoolArray:
-        """Return whether places are in front of the camera, and not much nearer than the points."""
+        """Return which places (m, 3) are in front of the camera and not far too near it, (m,)."""
         return np.asarray(self.distances(ground) >= NEARER * self.nearest)
 
     def holds(self, ground: FloatArray) -> BoolArray:
-        """Return whether places are about as far from the camera as some points are."""
+        """Return which places (m, 3) are about as far from the camera as some points, (m,)."""
         far = self.distances(ground) <= FARTHER * self.distances(self.ground).max()
         return np.asarray(self.shows(ground) & far)
 

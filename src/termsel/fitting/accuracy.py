@@ -208,7 +208,7 @@ def predicted_between(errors: FloatArray, lines: IntArray) -> Predicted:
 
 
 def _errors_with_all_points(fitted: Fit, errors: FloatArray) -> FloatArray:
-    """Return what held-out errors of a projection would be were all points in use.
+    """Return held-out errors of a projection, (n, 2), as they would be with all points in use.
 
     A point of the leverage h is predicted by the others with the variance s^2 / (1 - h), and a new
     measurement at its place by all of them with s^2 (1 + h). These are alike where h is small; but

@@ -114,7 +114,7 @@ class Cell:
         return total
 
     def columns(self, course: Course, positions: FloatArray) -> FloatArray:
-        """Return what the mean and the variance of a course at positions are made of."""
+        """Return the columns at positions (m, 2) from which a course has its mean and variance."""
         trend = trend_of(positions, len(self.positions))[:, :course.trend_columns]
         return course.columns(positions, self.positions, trend)
 

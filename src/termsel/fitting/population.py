@@ -171,7 +171,8 @@ class Fits:
 
     def _squares(self, image: FloatArray, denominators: FloatArray | None,
                  features: IntArray) -> FloatArray:
-        """Return squared errors, given image positions and denominators of the vertices."""
+        """Return squared errors [px^2], (p, f), from image positions and denominators of vertices.
+        """
         n = len(self.control)
         point_rows = features[features < n]
         line_rows = np.isin(n + self.lines.feature, features)

@@ -236,7 +236,7 @@ def _places_in_image(fitted: Fit,
 
 def _grid_on_ground(fitted: Fit, convert: Callable[[FloatArray], FloatArray], across: int,
                     levels: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return image places and where they see the ground at several heights, in WGS84."""
+    """Return image positions (n, 2) and their ground at several heights in WGS84, (n, 3)."""
     steps = np.unique(levels)
     (first_line, first_sample), (last_line, last_sample) = fitted.image_box()
     lines = np.linspace(first_line, last_line, across)

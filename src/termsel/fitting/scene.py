@@ -15,7 +15,7 @@ INSET = 0.02
 def scene_grid(fitted: Fit, across: int, neighbours: int = 1,
                box: tuple[float, float, float, float] | None = None,
                ) -> tuple[FloatArray, FloatArray]:
-    """Return a grid of `across` by `across` positions over the image, and what is seen there.
+    """Return a grid of `across` by `across` positions over the image, and their ground.
 
     Line and sample [px] (across^2, 2), line by line; and ground in the CRS of the control
     (across^2, 3), NaN where the fit sees nothing. A position has the mean height of the nearest
@@ -49,7 +49,7 @@ def scene_grid(fitted: Fit, across: int, neighbours: int = 1,
 
 
 def _inner_steps(low: float, high: float, count: int) -> FloatArray:
-    """Return equal steps over a range without its margins (INSET)."""
+    """Return `count` equal steps over a range without its margins (INSET), (count,)."""
     margin = INSET * (high - low)
     return np.linspace(low + margin, high - margin, count)
 

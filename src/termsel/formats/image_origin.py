@@ -127,7 +127,7 @@ def _turn_to_upper_left(features: FeatureSet, origin: str,
 
 def require_inside(features: FeatureSet, size: tuple[int, int] | None,
                    image: Path | str | None) -> None:
-    """Refuse features before the first or after the last pixel of their image.
+    """Raise TermselError for features before the first or after the last pixel of their image.
 
     Without a size only those before the first pixel are known to be outside. Points that are off
     take no part.

@@ -104,7 +104,7 @@ def with_declared_datum(raster: Any, crs: CRS, path: Path) -> CRS:
 
 
 def _require_database(path: Path) -> None:
-    """Refuse a raster where GDAL cannot read PROJ's database.
+    """Raise TermselError for a raster where GDAL cannot read PROJ's database.
 
     It then drops the vertical part of the raster's CRS without an error.
     """

@@ -218,7 +218,7 @@ def _prepared_for_resampling(picture: Picture, resampling: str | None) -> tuple[
 
 
 def _require_held(nodata: float, dtype: np.dtype[Any]) -> None:
-    """Refuse a value that pixels of this type cannot hold."""
+    """Raise TermselError for a value that pixels of this type cannot hold."""
     from rasterio.dtypes import in_dtype_range
 
     if not in_dtype_range(nodata, dtype.name) or (dtype.kind in "iu" and nodata != int(nodata)):

@@ -382,7 +382,7 @@ def find_reader(path: Path, readers: Iterable[type[Reader]], format: str | None 
 
 
 def _refuse_other_content(path: Path, head: bytes) -> None:
-    """Refuse a web page, and GeoJSON of other geometry, which no reader takes."""
+    """Raise TermselError for a web page, and GeoJSON of other geometry, which no reader takes."""
     text = head.decode("utf-8-sig", errors="replace").lstrip()
     if text[:14].lower().startswith(("<!doctype html", "<html")):
         raise TermselError("this file is a web page, not data", file=path,
@@ -641,7 +641,7 @@ def _with_areas(features: FeatureSet, areas: FeatureSet, path: Path) -> FeatureS
 
 
 def _refuse_idle(options: Mapping[str, Any], reader_of: Mapping[Path, Reader]) -> None:
-    """Refuse an option of reading that no reader of these files has."""
+    """Raise TermselError for an option of reading that no reader of these files has."""
     for key in options:
         if not any(key in reader.options for reader in reader_of.values()):
             names = dict.fromkeys(reader.name for reader in reader_of.values())

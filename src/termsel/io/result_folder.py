@@ -79,7 +79,7 @@ def claimed(folder: Path, *, overwrite: bool = False) -> Iterator[None]:
 
 
 def _refuse_taken(folder: Path, overwrite: bool) -> None:
-    """Refuse a folder with files that a result would replace."""
+    """Raise TermselError for a folder with files that a result would replace."""
     if is_there(folder / JOURNAL):
         raise TermselError("this is the folder of a study, which takes no further result",
                            file=folder, hint="Choose another --out.")

@@ -397,7 +397,7 @@ class SensorModel(Configurable, ABC):
 
 
 def require_heights(model: SensorModel, features: FeatureSet) -> None:
-    """Refuse features without height for a model that uses it, and name them."""
+    """Raise TermselError for features without height for a model that uses it, and name them."""
     # Named all at once, so that a user can add them in one go.
     missing = features.without_height()
     if model.uses_height and missing:

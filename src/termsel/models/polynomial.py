@@ -144,7 +144,7 @@ class Helmert2D(SensorModel):
 
     @property
     def axis(self) -> IntArray:
-        """Image axis of each term: the scale and the turn act on both."""
+        """Image axis of each term, (4,): the scale and the turn act on both."""
         return np.array([LINE, SAMPLE, BOTH, BOTH], dtype=np.intp)
 
     def equations(self, features: FeatureSet) -> Equations:

@@ -158,7 +158,7 @@ class RationalModel(SensorModel):
 
     @property
     def axis(self) -> IntArray:
-        """Image axis of each term: 0 line, 1 sample, 2 both."""
+        """Image axis of each term, (k,): 0 line, 1 sample, 2 both."""
         return np.concatenate([np.full(len(names), axis, dtype=np.intp)
                                for _, _, axis, names in self._layout])
 

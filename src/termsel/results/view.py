@@ -102,7 +102,7 @@ class View:
         for i in self._residuals_by_length[:None if self._drawn_residuals is self.residuals
                                            else LARGEST_RESIDUALS]:
             if np.isfinite(self.residuals[i].distance):
-                largest.setdefault(self.residuals[i].id, self._row_of_residual(self.residuals[i]))
+                largest.setdefault(self.residuals[i].id, self._row_of(self.residuals[i]))
         return list(largest.values())
 
     @cached_property

@@ -116,7 +116,7 @@ def _with_heights(features: FeatureSet) -> FeatureSet:
 
 
 def _refuse(options: dict[str, Any], subject: str) -> None:
-    """Refuse options of something that takes none."""
+    """Raise TermselError for options of something that takes none."""
     if options:
         raise TermselError(f"{subject} takes no option {next(iter(options))!r}",
                            hint="Give options with the name or the class of a model.")

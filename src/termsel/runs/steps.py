@@ -94,7 +94,7 @@ def _budget(task: Task, how: dict[str, Any]) -> dict[str, float]:
 
 
 def _require_beginning(problem: Problem, solver: Solver) -> None:
-    """Refuse a solver that refuses the second step, before the first has run."""
+    """Raise TermselError for a solver that refuses the second step, before the first has run."""
     try:
         begin(problem, solver)
     except PluginFault:

@@ -426,7 +426,7 @@ def _built(request: Request, inputs: ProblemData) -> Problem:
 
 
 def _refuse_foreign(request: Request, problem: Problem) -> None:
-    """Refuse options of other problems, which the recipe does not declare."""
+    """Raise TermselError for options of other problems, which the recipe does not declare."""
     known = options_of(problem)
     for name in request.undeclared:
         if name not in known:
@@ -435,7 +435,7 @@ def _refuse_foreign(request: Request, problem: Problem) -> None:
 
 
 def _refuse_searched(request: Request, problem: ParameterProblem) -> None:
-    """Refuse values for options of the model that the problem searches."""
+    """Raise TermselError for values for options of the model that the problem searches."""
     for name in problem.parameters:
         if name in request.set_options:
             raise TermselError(

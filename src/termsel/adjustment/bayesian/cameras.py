@@ -215,7 +215,7 @@ def radar_views(positions: FloatArray, azimuth: float, latitude: float, *,
     climb = RADAR_CLIMB * rng.standard_normal((n, 1))
 
     def view(time: FloatArray) -> FloatArray:
-        """Return Doppler, range, and angle at the Earth's centre, of places at a time."""
+        """Return Doppler, range, and angle at the Earth's centre, (3, c, m), at times (c, m)."""
         # Doppler by a difference of two ranges, and the range itself.
         distance, next_distance = (
             np.sqrt((flights.sight(positions, at) ** 2).sum(axis=0))

@@ -246,7 +246,7 @@ def _grid_cells(line: AxisEvidence, sample: AxisEvidence, freedom: int, noise: f
 
 
 def normalized(logarithm: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return probabilities from their logarithms but for a constant, and the log of their old sum.
+    """Return probabilities (p, ...) from logarithms but for a constant, and the log of their sum.
 
     The probabilities add up to 1 along the first axis, which the sum lacks.
     """

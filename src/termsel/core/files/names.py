@@ -57,7 +57,7 @@ def is_open_pipe(path: Path) -> bool:
 
 
 def refuse_pipe(path: Path) -> None:
-    """Refuse a pipe or a device, which cannot be read twice or never ends."""
+    """Raise TermselError for a pipe or a device, which cannot be read twice or never ends."""
     if _file_type(path) not in (None, stat.S_IFREG, stat.S_IFDIR):
         raise TermselError("this is a pipe or a device, expected a file", file=path,
                            hint="Save its content to a file, and give that file.")
@@ -96,13 +96,13 @@ def inside(folder: Path, name: str) -> Path:
 
 
 def refuse_link(path: Path) -> None:
-    """Refuse a link in a folder that may have come with data."""
+    """Raise TermselError for a link in a folder that may have come with data."""
     if os.path.islink(path):
         raise _link_error(path)
 
 
 def refuse_links(folder: Path) -> None:
-    """Refuse a folder to write results into that has links anywhere, or pipes by their names.
+    """Raise TermselError for a folder for results with links anywhere, or named pipes.
 
     Hidden entries that are not termsel's, such as `.venv` and `.git` where results go to the folder
     of a project, are left alone: nothing is written there.

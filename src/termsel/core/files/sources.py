@@ -91,7 +91,7 @@ _FOREIGN = (
 
 
 def refuse_foreign(path: Path | str) -> list[str]:
-    """Refuse a raster that is of a driver that is off, or that names such a one, or a server.
+    """Raise TermselError for a raster of a driver that is off, or that names one, or a server.
 
     Parameters
     ----------
@@ -264,7 +264,8 @@ class _Chain:
         return self.reads[name]
 
     def _require_allowed(self, name: str) -> None:
-        """Refuse a name such as NETCDF:FILE:VARIABLE unless the driver is allowed."""
+        """Raise TermselError for a name such as NETCDF:FILE:VARIABLE unless the driver is allowed.
+        """
         # GDAL compares prefixes without regard to case.
         prefix = name.partition(":")[0].casefold()
         # Only what the user has allowed by name: no default driver needs such a name.
@@ -299,7 +300,7 @@ class _Chain:
                                            depth)
 
     def _require_known(self, path: Path, head: bytes) -> None:
-        """Refuse a file of a driver that is off."""
+        """Raise TermselError for a file of a driver that is off."""
         driver = foreign_format(head)
         if driver in allowed_drivers() or (not driver and _is_known(path, head)):
             return

@@ -30,7 +30,7 @@ _UTM_RANGE = {"6": ((0.0, -9.4e6), (1e6, 9.4e6)), "7": ((0.0, 0.0), (1e6, 10.5e6
 
 
 def check_ground(features: FeatureSet) -> None:
-    """Refuse ground coordinates that cannot be in the CRS of the features; "local" takes any.
+    """Raise TermselError for ground coordinates that cannot be in the CRS; "local" takes any.
 
     Longitudes outside -180 to 360 or latitudes outside -90 to 90 degrees in a geographic CRS,
     coordinates that look like degrees in a projected one, and eastings or northings that no UTM
@@ -60,7 +60,8 @@ def check_ground(features: FeatureSet) -> None:
 
 
 def _check_distance(ground: FloatArray, features: FeatureSet, crs: str) -> None:
-    """Refuse positions in a geocentric CRS that are far below or above the surface."""
+    """Raise TermselError for positions in a geocentric CRS that are far below or above the surface.
+    """
     distance = np.linalg.norm(ground, axis=1)
     radius = ellipsoid_of(crs)[0]
     # A height that is not known, and so the distance, is refused elsewhere.

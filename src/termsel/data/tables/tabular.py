@@ -46,20 +46,21 @@ def frozen(values: ArrayLike, shape: tuple[int, ...], content: str) -> FloatArra
 
 
 def check_finite(values: FloatArray, ids: Sequence[str], kind: str, content: str) -> None:
-    """Refuse coordinates that are not finite, or too far."""
+    """Raise TermselError for coordinates that are not finite, or too far."""
     _refuse_bad_values(~np.isfinite(values), ids, kind, f"{content} that are not finite numbers",
                        _CORRECT)
     check_near(values, ids, kind, content)
 
 
 def check_near(values: FloatArray, ids: Sequence[str], kind: str, content: str) -> None:
-    """Refuse coordinates that are too far."""
+    """Raise TermselError for coordinates that are too far."""
     _refuse_bad_values(np.abs(values) >= FARTHEST, ids, kind, f"{content} of {FARTHEST:g} or more",
                        _CORRECT)
 
 
 def check_heights(z: FloatArray, ids: Sequence[str], kind: str) -> None:
-    """Refuse infinite heights; blank heights are NaN and suit models without height."""
+    """Raise TermselError for infinite heights; blank ones are NaN and suit models without height.
+    """
     _refuse_bad_values(np.isinf(z), ids, kind, "an infinite height")
     check_near(z, ids, kind, "a height")
 
@@ -80,7 +81,7 @@ def check_deviations(sigma: FloatArray, ids: Sequence[str], kind: str) -> None:
 
 def _refuse_bad_values(is_bad: NDArray[np.bool_], ids: Sequence[str], kind: str, problem: str,
                        hint: str | None = None) -> None:
-    """Refuse the first feature with a bad value, given which are bad, shape (n, ...)."""
+    """Raise TermselError for the first feature with a bad value, given which are bad, (n, ...)."""
     features = is_bad.reshape(len(ids), -1).any(axis=1)
     if features.any():
         name = ids[int(np.argmax(features))]
@@ -88,7 +89,7 @@ def _refuse_bad_values(is_bad: NDArray[np.bool_], ids: Sequence[str], kind: str,
 
 
 def check_places(ground: FloatArray, ids: Sequence[str]) -> None:
-    """Refuse points at one place on the ground, naming all of them."""
+    """Raise TermselError for points at one place on the ground, naming all of them."""
     # One image position with several ground points is a line of sight through several
     # heights; one ground point cannot be seen at two image positions.
     repeated = repeated_places(ground)

@@ -122,7 +122,8 @@ def _is_of_layer(source: FloatArray) -> bool:
 
 
 def _refuse_layer(table: Table, source: FloatArray) -> None:
-    """Refuse sources that are not pixels, such as those of a georeferenced raster."""
+    """Raise TermselError for sources that are not pixels, such as those of a georeferenced raster.
+    """
     if _is_of_layer(source):
         raise table.error(
             "these are not pixels as QGIS counts them, negative downwards: they may be map "

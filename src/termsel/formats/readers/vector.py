@@ -173,7 +173,7 @@ def _is_wal(path: Path) -> bool:
 
 
 def _refuse_queries(path: Path) -> None:
-    """Refuse a GeoPackage with tables that read other files."""
+    """Raise TermselError for a GeoPackage with tables that read other files."""
     with path.open("rb") as file:
         if file.read(16) != b"SQLite format 3\0":
             return

@@ -165,7 +165,7 @@ class RpcVrt(RpcWriter):
 
 
 def require_read_back(rpc: Rpc, text: str, suffix: str) -> None:
-    """Refuse the content of a file from which termsel or GDAL takes another RPC."""
+    """Raise TermselError for the content of a file from which termsel or GDAL takes another RPC."""
     with private_folder() as folder:
         path = folder / f"scene{suffix}"
         write_text(path, text)
@@ -188,7 +188,7 @@ def require_read_back(rpc: Rpc, text: str, suffix: str) -> None:
 
 
 def _require_same_by_gdal(rpc: Rpc, image: Path) -> None:
-    """Refuse an RPC with which GDAL projects to other positions than termsel."""
+    """Raise TermselError for an RPC with which GDAL projects to other positions than termsel."""
     from rasterio._err import CPLE_BaseError
     from rasterio.errors import RasterioError
     from rasterio.transform import RPCTransformer

@@ -295,7 +295,7 @@ class ScoreSystems:
 
     @cached_property
     def _largest(self) -> FloatArray:
-        """U and tau of `bounds.closed` for all subsets."""
+        """U and tau of `bounds.closed` for all subsets, (c + 1,)."""
         rows = self.systems[0]
         columns = np.concatenate([self.everything.used, self.everything.candidates])
         c = len(rows.extra) // 2

@@ -93,7 +93,7 @@ class Ebic(Criterion):
 
     def _criterion_of_system(self, rss: FloatArray, n: int, k: IntArray, offered: int,
                              n_chosen: IntArray) -> FloatArray:
-        """Return the criterion of one system: n equations, k terms, n_chosen of those offered."""
+        """Return the criterion of one system, (p,): n equations, k terms, n_chosen of `offered`."""
         min_redundancy = self.options["min_redundancy"]
         min_redundancy = max(1, round(n / 3)) if min_redundancy is None else min_redundancy
         # ln C(P, j) for j = 0, ..., P; RSS / n of what is explained to rounding counts as rounding.

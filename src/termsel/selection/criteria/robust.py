@@ -11,7 +11,7 @@ from termsel.selection.criteria.base import Criterion
 
 
 def _robust_figure(fits: Fits, loss: str, threshold: float = THRESHOLD.default) -> FloatArray:
-    """Return the figure of the distances sqrt(dl^2 + ds^2) of the selection points [px]."""
+    """Return the figure of the distances sqrt(dl^2 + ds^2) of the selection points [px], (p,)."""
     # Beyond a pole errors may overflow; the figure then is infinite.
     with np.errstate(over="ignore", invalid="ignore"):
         distances = np.hypot(fits.check_errors[..., 0], fits.check_errors[..., 1])

@@ -66,7 +66,7 @@ def unit_deviations(design: FloatArray) -> FloatArray:
 
 
 def max_correlation(selected: PopulationSelection) -> FloatArray:
-    """Return the largest absolute correlation between two columns in use.
+    """Return the largest absolute correlation between two columns in use, (p,).
 
     Correlations are those of Akhoundi Khezrabad et al. 2020, eq. 3, over all control. Where line
     and sample are independent, each has a matrix of its own: in a common one the two constants

@@ -168,7 +168,7 @@ class SelectionProblem(Problem):
         return problem
 
     def _require_solvable(self, selects_terms: bool) -> None:
-        """Refuse control that no selection could solve the model from."""
+        """Raise TermselError for control that no selection could solve the model from."""
         max_features = _feature_counts(self.inputs)[1] if self._selects_features else None
         # A user may ask for so few features that the model is just determined.
         self._least_freedom = 1 if max_features is None or selects_terms else 0

@@ -227,7 +227,7 @@ class Stage:
 
 
 def require_resumable(solver: Solver) -> None:
-    """Refuse a solver that does its work elsewhere than in evaluations."""
+    """Raise TermselError for a solver that does its work elsewhere than in evaluations."""
     if not solver.can_resume:
         raise TermselError(f"solver {solver.name!r} keeps no checkpoint: what takes its time is no "
                            "evaluation", hint="Leave the checkpoint out.")

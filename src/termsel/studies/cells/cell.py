@@ -191,7 +191,7 @@ class _Kinds:
         return self._known[key]
 
     def require_used(self) -> None:
-        """Refuse an option for every cell that no cell has."""
+        """Raise TermselError for an option for every cell that no cell has."""
         for key in self._spec.options:
             if key not in self._used and self._known:
                 raise self._spec.places.error(

@@ -91,7 +91,7 @@ class CellRecord(RecordPart, frozen=True):
     """Objectives of each member of its front."""
 
     def __post_init__(self) -> None:
-        """Refuse a front whose members have different objectives."""
+        """Raise TermselError for a front whose members have different objectives."""
         if len(set(map(len, self.front))) > 1:
             raise ValueError("front: its members have different numbers of objectives")
 

@@ -38,7 +38,7 @@ def normalised_cost(cost: FloatArray, worst: float) -> FloatArray:
 
 
 def shares(normalised: FloatArray) -> FloatArray:
-    """Return the normalised power of imperialists, equation (6).
+    """Return the normalised power of e imperialists, (e,), equation (6).
 
     If all are as bad as the worst country, and the equation is 0/0, all are equal.
     """
@@ -47,7 +47,7 @@ def shares(normalised: FloatArray) -> FloatArray:
 
 
 def sizes(share: FloatArray, colonies: int) -> IntArray:
-    """Return the numbers of colonies of imperialists, equation (7), from their normalised power.
+    """Return the numbers of colonies of imperialists, (e,), equation (7), from their power.
 
     Rounded by largest remainder: as in the paper wherever its rounded numbers add up to the
     number of colonies, which is not always so.
@@ -115,7 +115,7 @@ def normalised_power(power: FloatArray) -> FloatArray:
 
 
 def possession(normalised: FloatArray) -> FloatArray:
-    """Return the probability of each empire to possess the colony, equation (10)."""
+    """Return the probability of each empire to possess the colony, (e,), equation (10)."""
     return np.asarray(normalised / normalised.sum())
 
 
