@@ -23,7 +23,7 @@ def termsel_commands(cli: click.Group) -> None:
 
 @hookimpl
 def termsel_parts() -> Iterable[Part]:
-    """Return what writes certificates of proofs."""
+    """Return the part of termsel that writes certificates of proofs."""
     from termsel.toolkit import Part
     from termsel_bench.certificate import certifier
 

@@ -124,7 +124,11 @@ def content_of(axes: Sequence[dict[str, Any]], max_steps: int = MOST_NODES) -> d
 
 def axis_of(name: str, terms: Sequence[str], system: Any, selection: Sequence[int],
             room: int, pixels: float) -> dict[str, Any]:
-    """Return the system of one axis, its best selection and the limit that none is below."""
+    """Return the system of one axis as a certificate has it, with its best selection and the limit.
+
+    Columns are those of allowed terms, numbered again. The limit is the sum of squares of the
+    selection, less what counts as a tie: no selection is proven to be below it.
+    """
     allowed = np.flatnonzero(~system.forbidden) if system.forbidden is not None else \
         np.arange(len(terms))
 
@@ -192,7 +196,7 @@ def tree_of(axis: dict[str, Any], max_steps: int,
 
 
 def _columns_of(axis: dict[str, Any]) -> Columns:
-    """Return the columns of the root, with forced ones in use."""
+    """Return the columns of the root of the tree: allowed ones, the forced ones in use."""
     c = len(axis["errors"])
     k = len(axis["terms"])
     upper = np.ones(c + 1)
@@ -257,7 +261,7 @@ def _short(node: Node, names: Sequence[int], alphas: FloatArray) -> list[float]:
 
 
 def _branch(columns: Columns, room: int) -> int:
-    """Return the column whose halves have the lowest limits, as far as one bound says."""
+    """Return the column whose two halves leave least open, as far as one bound of each shows."""
     best = 0
     least_open = np.inf
     for i in range(len(columns.names)):

@@ -107,7 +107,8 @@ def bench(method_names: tuple[str, ...], solvers: tuple[str, ...], problem: str 
 def _own_methods(names: Sequence[str], solvers: Sequence[str], problem: str | None,
                  models: Sequence[str], packages: Sequence[str],
                  options: dict[str, str]) -> list[Method]:
-    """Return the methods that the options name."""
+    """Return the methods that the options name; raises TermselError for options without a method.
+    """
     from termsel_bench.methods.base import Method
 
     if options and not solvers and not models:
@@ -122,7 +123,10 @@ def _own_methods(names: Sequence[str], solvers: Sequence[str], problem: str | No
 
 
 def _with_others(own_methods: list[Method], *, without_others: bool) -> list[Method]:
-    """Return methods, among auto and those of other packages unless they run alone."""
+    """Return the methods after auto and before those of other packages, or alone.
+
+    Raises TermselError if that leaves none.
+    """
     from termsel_bench.methods.base import AUTO, PEERS, Method
 
     if without_others and not own_methods:
@@ -134,7 +138,8 @@ def _with_others(own_methods: list[Method], *, without_others: bool) -> list[Met
 
 
 def _sets(pattern: str, *, quick: bool) -> list[str]:
-    """Return the names of simulated sets that are asked for."""
+    """Return the names of simulated sets that contain `pattern`; raises TermselError if none does.
+    """
     from termsel_bench.scenes.catalogue import QUICK, set_names
 
     names = [name for name in set_names(pattern) if not quick or name in QUICK]
@@ -144,7 +149,8 @@ def _sets(pattern: str, *, quick: bool) -> list[str]:
 
 
 def _measured_names(pattern: str, *, quick: bool) -> list[str]:
-    """Return the names of measured sets; of a quick run the first of each kind."""
+    """Return the names of measured sets that contain `pattern`; if quick, the first of each kind.
+    """
     from termsel_bench.scenes.measured import SOURCES, measured_names
 
     names = measured_names(pattern)
@@ -157,7 +163,8 @@ def _measured_names(pattern: str, *, quick: bool) -> list[str]:
 
 def _run(methods: Sequence[Method], names: Sequence[str], real: Path | None, processes: int,
          scheduler: str, folder: Path | None, *, overwrite: bool) -> None:
-    """Run methods on sets, print the table, and write files where a folder is given."""
+    """Run methods on sets and print the table; with a folder, write table, page and results there.
+    """
     from termsel import require_replaceable
     from termsel_bench.protocol import scores
     from termsel_bench.scenes.measured import MEASURED
@@ -197,7 +204,8 @@ def _run(methods: Sequence[Method], names: Sequence[str], real: Path | None, pro
 
 
 def _write(scored: Sequence[Score], folder: Path, title: str) -> None:
-    """Write table, page and results into a folder."""
+    """Write table, page and results into a folder; `title` is the method whose losses are listed.
+    """
     from termsel.toolkit import write_text
     from termsel.toolkit.charts import page
     from termsel.toolkit.files import refuse_links
@@ -215,7 +223,7 @@ def _write(scored: Sequence[Score], folder: Path, title: str) -> None:
 
 
 def _write_files(folder: Path, names: Sequence[str], *, overwrite: bool) -> None:
-    """Write simulated sets as files, with their description."""
+    """Write simulated sets as files into a folder, with their description."""
     from termsel import require_replaceable
     from termsel.toolkit import write_text
     from termsel.toolkit.files import refuse_links
@@ -258,7 +266,10 @@ def _write_measured(folder: Path, names: Sequence[str], *, overwrite: bool) -> N
 
 
 def _check(folder: Path, pattern: str, processes: int, packages: Sequence[str]) -> int:
-    """Repeat the results in a folder, print the verdicts, and return the exit code."""
+    """Run the methods of the results in a folder again, print the verdicts, return the exit code.
+
+    The code is `REFUTED` if any result is, else 0.
+    """
     from termsel_bench.submitted import check, read_submitted
 
     checks = [check(checked, pattern, processes=processes)

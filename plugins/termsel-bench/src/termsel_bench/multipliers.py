@@ -46,7 +46,7 @@ class Columns:
     alphas: FloatArray | None
 
     def without(self, i: int) -> Columns:
-        """Return them without column i."""
+        """Return the columns but for column i, which no selection below has."""
         return replace(self, control=np.delete(self.control, i, 0),
                        errors=np.delete(self.errors, i, 0),
                        denominators=np.delete(self.denominators, i, 0),
@@ -54,7 +54,8 @@ class Columns:
                        alphas=None if self.alphas is None else np.delete(self.alphas, i))
 
     def using(self, i: int) -> Columns:
-        """Return the others with column i removed from them."""
+        """Return the columns but for column i, which is in use: its share of all others is removed.
+        """
         a = self.control[i]
         square = float(a @ a)
         # Least squares of one column: its share of all others is removed from them.
@@ -84,7 +85,7 @@ class Bound:
         return self.minimum > (1.0 + _FACT_WEIGHT) * (1.0 + SLACK)
 
     def largest(self, columns: Columns) -> FloatArray:
-        """Return the largest value of each denominator, and of t."""
+        """Return the largest value that each denominator can have, and t last, shape (c + 1,)."""
         lines = np.vstack([columns.denominators.T, np.append(np.zeros(len(columns.names)), -1.0)])
         rows = lines @ self.inverse.T
         # The ellipsoid z^T Q z <= room about the minimum: a value is at most middle + sqrt(room *
@@ -108,7 +109,7 @@ class _Form:
     s: FloatArray
 
     def bound(self, alphas: FloatArray) -> Bound | None:
-        """Return what multipliers prove; None if Q is not positive definite, or nearly so."""
+        """Return what multipliers (n,) prove; None if Q is not positive definite, or hardly so."""
         pairs = np.append(alphas, 0.0)
         form = self.base + (pairs[:, None] + pairs) / 2 * self.gram
         diagonal = np.diag(form)
@@ -190,12 +191,12 @@ def _tune_bound(form: _Form, at: Bound) -> Bound:
             step = np.linalg.solve(bend + 1e-12 * np.trace(bend) / n * np.eye(n), slope)
         except np.linalg.LinAlgError:
             break
-        height = _height(at, weight)
+        height = _with_barrier(at, weight)
         size = 1.0
         reached = None
         while size > 0.01:
             reached = form.bound(at.alphas + size * step)
-            if reached is not None and _height(reached, weight) > height:
+            if reached is not None and _with_barrier(reached, weight) > height:
                 break
             reached = None
             size = size / 2
@@ -208,6 +209,9 @@ def _tune_bound(form: _Form, at: Bound) -> Bound:
     return at
 
 
-def _height(bound: Bound, weight: float) -> float:
-    """Return what is maximised; the determinant of Q is that of L^-1, inverted and squared."""
+def _with_barrier(bound: Bound, weight: float) -> float:
+    """Return the minimum plus a barrier, which is maximised: weight times log det Q.
+
+    det Q is that of L^-1, inverted and squared.
+    """
     return bound.minimum - 2.0 * weight * float(np.log(np.abs(np.diag(bound.inverse))).sum())

@@ -15,7 +15,7 @@ from termsel_bench.tables import LOSS_RATIO, best_of, by_kind, losses, ratio
 
 
 def document(scores: Sequence[Score], title: str = AUTO.title) -> Document:
-    """Return what is shown of scores; `title` is the method whose losses are listed."""
+    """Return the page of scores; `title` is the method whose losses are listed."""
     header, rows = by_kind(scores)
     # Ratios are to the least RMSE of each set.
     best = best_of(scores)

@@ -73,7 +73,7 @@ class Work:
 
 
 def set_of(work: Work) -> BenchSet:
-    """Return the set of some work."""
+    """Return the set of some work: simulated, or of a folder."""
     return simulated(work.set_name) if work.real is None else _real(work.real)
 
 
@@ -110,7 +110,12 @@ def score(work: Work) -> Score:
 
 
 def _score_of_measured(method: Method, measured_set: MeasuredSet) -> Score:
-    """Return what a method is worth on a measured set: the median over the points of all folds."""
+    """Return the score of a method on a measured set.
+
+    The median error over the points of all folds.
+
+    If it fails in any fold, `why` says so, and there is no error.
+    """
     n = len(measured_set.features.points)
     trials = [measured_set.trial(fold) for fold in range(measured_set.trials)]
     control = min(len(seen.points) for seen, _ in trials)
@@ -130,7 +135,7 @@ def _score_of_measured(method: Method, measured_set: MeasuredSet) -> Score:
 
 
 def _interval(values: FloatArray, figure: Callable[[FloatArray], Any]) -> tuple[float, float]:
-    """Return the interval of a figure, by resampling its values."""
+    """Return the confidence interval of a figure of values (n, ...), by resampling them."""
     # Points are drawn with replacement, so that the interval is of sets like this one.
     rng = np.random.default_rng(SEED)
     figures = [figure(values[rng.integers(len(values), size=len(values))])
@@ -183,7 +188,10 @@ def scores(methods: Sequence[Method], sets: Iterable[str], real: Sequence[Path] 
 
 
 def _scores_on_cluster(work: Sequence[Work], scheduler: str) -> Iterator[Score]:
-    """Yield the scores that a dask scheduler has computed."""
+    """Yield the scores that a dask scheduler has computed.
+
+    Raises TermselError if it does not answer.
+    """
     with requires("--scheduler requires", "distributed", "distributed"):
         from distributed import Client
     try:

@@ -44,7 +44,10 @@ class Checked:
 
 
 def texts_of(scored: Sequence[Score]) -> dict[str, str]:
-    """Return the file of each method by its name; sets of a user's own are no part of it."""
+    """Return the text of a file for each method, by the name of the file.
+
+    Only frozen sets are in it; a method that ran on none of them has no file.
+    """
     frozen = _frozen()
     files = {}
     for method in dict.fromkeys(score.method.title for score in scored):
@@ -95,7 +98,11 @@ def read_submitted(folder: Path, packages: Sequence[str] = ()) -> list[Submitted
 
 
 def _read(path: Path, packages: Sequence[str]) -> Submitted:
-    """Return the results of a method in a file, checked."""
+    """Return the results of a method in a file.
+
+    Raises TermselError if the file is none, names code that is not among `packages`, or is of other
+    sets.
+    """
     def refused(problem: str) -> TermselError:
         return TermselError(f"{path} {problem}",
                             hint="Give what `termsel bench --out DIR` wrote.")

@@ -19,7 +19,7 @@ LOSS_RATIO = 1.02
 
 
 def best_of(scores: Sequence[Score]) -> dict[str, float]:
-    """Return the least RMSE of each set."""
+    """Return the least error of each set [px], by its name; infinite if no method has a result."""
     best: dict[str, float] = {}
     for score in scores:
         best[score.set_name] = min(best.get(score.set_name, math.inf), score.rmse)
@@ -27,13 +27,13 @@ def best_of(scores: Sequence[Score]) -> dict[str, float]:
 
 
 def ratio(score: Score, best: dict[str, float]) -> float:
-    """Return the ratio to the least RMSE of the set; infinite without a result."""
+    """Return the ratio of a score to the best of its set; infinite without a result."""
     best_rmse = best[score.set_name]
     return score.rmse / best_rmse if math.isfinite(score.rmse) else math.inf
 
 
 def csv_text(scores: Sequence[Score]) -> str:
-    """Return table.csv."""
+    """Return the content of table.csv: a row for each score; figures are blank without a result."""
     best = best_of(scores)
     rows: list[Sequence[object]] = [TABLE_COLUMNS]
     for score in scores:
@@ -70,7 +70,10 @@ def by_kind(scores: Sequence[Score]) -> tuple[list[str], list[list[str]]]:
 
 
 def losses(scores: Sequence[Score], title: str) -> list[tuple[Score, Score]]:
-    """Return the sets on which a method loses: its score and the best, worst loss first."""
+    """Return the score of a method and the best one of each set on which it loses, worst first.
+
+    It loses if it is more than `LOSS_RATIO` times the best of the others; [] if it never does.
+    """
     lost = []
     for score in scores:
         rivals = [rival for rival in scores

@@ -23,7 +23,7 @@ class PolynomialByAxis(RationalModel):
 
     @cached_property
     def exponents(self) -> tuple[Exponents, Exponents]:
-        """Exponents of X, Y, Z of each column, of line and of sample."""
+        """Exponents of X, Y, Z of each column of line, and of each column of sample."""
         everything = graded_exponents(int(self.options["degree"]), len(self.coordinates))
         exponents_of = {}
         for axis in ("line", "sample"):
@@ -37,21 +37,24 @@ class PolynomialByAxis(RationalModel):
 
     @property
     def polynomial_degree(self) -> int | None:
-        """Total degree."""
+        """Largest total degree of any column."""
         return max(map(sum, chain(*self.exponents)))
 
     def blocks(self, ground: FloatArray) -> Blocks:
-        """Return the monomials of each axis."""
+        """Return the monomials of scaled places (n, 3) for line and for sample."""
         line, sample = self.exponents
         return Blocks(line=monomials(ground, line), sample=monomials(ground, sample))
 
     def column_names(self, block: str) -> tuple[str, ...]:
-        """Return the monomials' names."""
+        """Return the names of the monomials of a block, line or sample."""
         return tuple(monomial_name(e) for e in self.exponents[block == "sample"])
 
 
-def _powers(coordinates: str, largest: int) -> tuple[Option, ...]:
-    """Return the options of a polynomial with degrees of its own in each axis and coordinate."""
+def _options_of_powers(coordinates: str, largest: int) -> tuple[Option, ...]:
+    """Return the options of a polynomial with degrees of its own in each axis and coordinate.
+
+    `coordinates` is such as "xy", `largest` the highest degree that a user may state.
+    """
     options = [Option("degree", largest, "Highest total degree.", int, 1, largest)]
     for axis, coordinate in product(("line", "sample"), coordinates):
         options.append(Option(
@@ -66,18 +69,18 @@ class Polynomial2DByAxis(PolynomialByAxis):
     name = "poly2d-by-axis"
     coordinates = "xy"
     uses_height = False
-    declared_options = _powers("xy", 5)
+    declared_options = _options_of_powers("xy", 5)
 
 
 class Polynomial3DByAxis(PolynomialByAxis):
     """3-D polynomial with a degree of its own for line and sample, in X, in Y and in Z."""
 
     name = "poly3d-by-axis"
-    declared_options = _powers("xyz", 4)
+    declared_options = _options_of_powers("xyz", 4)
 
 
 def degrees(inputs: ProblemData) -> Problem:
-    """Return the search for the degrees."""
+    """Return the search for the degrees of each axis and coordinate."""
     # Models without a degree by axis have none to search: the problem then says which it needs.
     names = [option.name for option in inputs.model.declared_options
              if option.name.startswith(("line_", "sample_"))]

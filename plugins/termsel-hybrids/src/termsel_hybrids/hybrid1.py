@@ -95,7 +95,7 @@ def _fit_second_step(computed: FloatArray, control: FeatureSet) -> FloatArray:
 
 
 def _map_by_second_step(second: FloatArray, image: FloatArray) -> FloatArray:
-    """Return image positions, shape (..., n, 2), mapped by the second step."""
+    """Return image positions (..., n, 2) mapped by the second step; infinite at a pole."""
     columns = _columns(image)
     above = np.stack([np.einsum("...nk,...k->...n", columns, second[..., columns_of])
                       for columns_of in (slice(0, 4), slice(4, 8))], axis=-1)
@@ -105,7 +105,7 @@ def _map_by_second_step(second: FloatArray, image: FloatArray) -> FloatArray:
 
 
 def _has_pole(second: FloatArray, control: FeatureSet) -> BoolArray:
-    """Return whether denominators are too small around the control, shape (...)."""
+    """Return whether denominators are too small anywhere in the box around control, shape (...)."""
     image = control.image_vertices()
     (first_line, first_sample) = image.min(axis=0)
     (last_line, last_sample) = image.max(axis=0)
@@ -122,7 +122,7 @@ def _denominators(second: FloatArray, columns: FloatArray) -> FloatArray:
 
 
 def _columns(image: FloatArray) -> FloatArray:
-    """Return 1, x, y, xy, shape (..., n, 4)."""
+    """Return 1, x, y, xy of image positions (..., n, 2), shape (..., n, 4)."""
     x = image[..., 0]
     y = image[..., 1]
     return np.stack([np.ones_like(x), x, y, x * y], axis=-1)

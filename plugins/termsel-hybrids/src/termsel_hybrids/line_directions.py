@@ -119,6 +119,7 @@ class LineAffine(LineDirections):
                                     coefficients))
 
     def _columns(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
+        """Return the derivatives (n, 2, 8) of line and sample by the coefficients."""
         monomials = np.column_stack([np.ones(len(ground)), ground])
         of_axes = np.einsum("ab,nk->nabk", np.eye(2), monomials)
         return np.asarray(of_axes.reshape(len(ground), 2, 8))
@@ -152,7 +153,8 @@ class LineConformal(LineDirections):
         return np.array([0, 1, 2, 2, 2, 2], dtype=np.intp)
 
     def start(self, features: FeatureSet) -> FloatArray:
-        """Return a solution: the rotation next to the affine model, after some steps."""
+        """Return a solution (6,): the rotation next to the affine model, after some Newton steps.
+        """
         equations = LineAffine().prepared(self.scaling, self.crs).equations(features) \
             if self.scaling is not None else LineAffine().equations(features)
         # The affine model first, which is linear; its two rows need not be orthogonal.
@@ -182,6 +184,7 @@ class LineConformal(LineDirections):
         return np.asarray(coefficients[..., None, :2] + moved)
 
     def _columns(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
+        """Return the derivatives (n, 2, 6) of line and sample by shift and quaternion."""
         shift = np.broadcast_to(np.eye(2), (len(ground), 2, 2))
         return np.concatenate([shift,
                                _rotation_derivatives(coefficients[2:],
@@ -201,7 +204,10 @@ def _rotation_derivatives(q: FloatArray, ground: FloatArray) -> FloatArray:
 
 
 def _quaternion(turn: FloatArray) -> FloatArray:
-    """Return the unit quaternion of a rotation matrix: the axis to 1 of Davenport's matrix."""
+    """Return the unit quaternion (4,) of a rotation matrix (3, 3).
+
+    It is the eigenvector of the largest eigenvalue, 3, of Davenport's matrix.
+    """
     skew = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
     matrix = np.empty((4, 4))
     matrix[0, 0] = np.trace(turn)
@@ -211,7 +217,10 @@ def _quaternion(turn: FloatArray) -> FloatArray:
 
 
 def _weights(features: FeatureSet) -> tuple[FloatArray, FloatArray]:
-    """Return the median standard deviation over that of each row of points, and of each line."""
+    """Return the median standard deviation over that of each row of points and of each line.
+
+    Shapes (2 points,) and (lines,); ones for a kind without standard deviations.
+    """
     sigmas = features.points.sigma, features.lines.sigma
     stated = [sigma.ravel() for sigma in sigmas if sigma is not None]
     unit = float(np.median(np.concatenate(stated))) if stated else 1.0
@@ -220,5 +229,5 @@ def _weights(features: FeatureSet) -> tuple[FloatArray, FloatArray]:
 
 
 def _lengths(lines: FloatArray) -> FloatArray:
-    """Return the distances between both ends, shape (n,)."""
+    """Return the distance between both ends of each line (n, 2, d), shape (n,)."""
     return np.asarray(np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1))

@@ -44,7 +44,7 @@ class Multiquadric(Polynomial2D):
         single control point corrects nothing.
         """
         positions = np.ascontiguousarray(control[:, :2])
-        return np.asarray(_distances(ground, control) @ _inverse(positions.tobytes()))
+        return np.asarray(_distances(ground, control) @ _inverse_of_distances(positions.tobytes()))
 
 
 class Hybrid3(Multiquadric):
@@ -68,8 +68,8 @@ class Hybrid3(Multiquadric):
 
 
 @lru_cache(maxsize=8)
-def _inverse(positions: bytes) -> FloatArray:
-    """Return inv(F) of control points; a search needs the same one many times."""
+def _inverse_of_distances(positions: bytes) -> FloatArray:
+    """Return the inverse (n, n) of distances between control points, given as bytes for a cache."""
     control = np.frombuffer(positions).reshape(-1, 2)
     # F has full rank for distinct points; only repeated positions lower it.
     return np.asarray(np.linalg.pinv(_distances(control, control), rcond=1e-12, hermitian=True))

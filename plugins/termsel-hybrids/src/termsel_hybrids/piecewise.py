@@ -51,7 +51,11 @@ class Piecewise(Polynomial2D):
 
 
 def _shares(positions: FloatArray, places: FloatArray) -> FloatArray:
-    """Return barycentric coordinates (m, n) of places by the positions, zero off their triangle."""
+    """Return barycentric coordinates (m, n) of places (m, 2) by the positions (n, 2).
+
+    They are zero but for the corners of a place's triangle; off all triangles, for the ends of the
+    nearest edge of the hull. All are zero if there are no triangles.
+    """
     shares = np.zeros((len(places), len(positions)))
     triangles = _triangles(np.ascontiguousarray(positions).tobytes())
     if triangles is None:
@@ -72,7 +76,10 @@ def _shares(positions: FloatArray, places: FloatArray) -> FloatArray:
 
 @lru_cache(maxsize=8)
 def _triangles(positions: bytes) -> Delaunay | None:
-    """Return the triangles of positions; None of fewer than three, or of some on a line."""
+    """Return the Delaunay triangles of positions, given as bytes.
+
+    None if fewer than three or on a line.
+    """
     from scipy.spatial import Delaunay, QhullError  # which other models need not import
 
     points = np.frombuffer(positions).reshape(-1, 2)
@@ -86,7 +93,7 @@ def _triangles(positions: bytes) -> Delaunay | None:
 
 def _nearest_on_hull(positions: FloatArray, edges: NDArray[np.int32],
                      place: FloatArray) -> tuple[int, int, float]:
-    """Return the ends of the edge of the hull that is nearest, and where on it: 0 to 1."""
+    """Return the numbers of both ends of the hull's nearest edge, and how far along it: 0 to 1."""
     start = positions[edges[:, 0]]
     step = positions[edges[:, 1]] - start
     along = np.clip(((place - start) * step).sum(axis=1) / (step**2).sum(axis=1), 0.0, 1.0)

@@ -71,7 +71,10 @@ class Pointwise(Polynomial2D):
             np.linalg.pinv(root[..., None] * columns, rcond=1e-8)[:, 0] * root)
 
     def _neighbours(self, offset: FloatArray, distance: FloatArray) -> BoolArray:
-        """Return the control points used at each place, shape (m, n)."""
+        """Return which control points are used at each place, shape (m, n).
+
+        The nearest, or by quadrant.
+        """
         if self.options["neighbours"] == "nearest":
             return _nearest(distance, self.options["count"] or 8)
         # Four quadrants around each place, numbered by the signs of both offsets.
@@ -93,7 +96,7 @@ class Pointwise(Polynomial2D):
 
 
 def _nearest(distance: FloatArray, count: int) -> BoolArray:
-    """Return which control points are the nearest of finite distance, shape (m, n)."""
+    """Return which control points are the `count` nearest of finite distance, shape (m, n)."""
     # Stable, so that of points at one distance the first ones are taken, on every machine.
     near = np.zeros(distance.shape, dtype=bool)
     order = np.argsort(distance, axis=1, kind="stable")[:, :count]

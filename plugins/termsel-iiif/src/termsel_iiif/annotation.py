@@ -45,7 +45,8 @@ class Feature(msgspec.Struct):
 
     @property
     def image(self) -> list[float]:
-        """Column and row from the upper left corner of the image."""
+        """Column and row from the upper left corner of the image; raises ValueError if not stated.
+        """
         position = self.properties.resourceCoords or self.properties.pixelCoords
         if position is None:
             raise ValueError("Object missing required field `resourceCoords`")
@@ -135,7 +136,8 @@ def maps_of(text: bytes) -> list[Map]:
 
 
 def _map(item: Any, path: str) -> Map:
-    """Return one map, or refuse it with its place in the file."""
+    """Return one map of an annotation; raises ValueError with its place in the file if it is none.
+    """
     try:
         annotation = msgspec.convert(item, Annotation)
     except msgspec.ValidationError as error:
@@ -157,7 +159,10 @@ def _map(item: Any, path: str) -> Map:
 
 
 def _resource(target: _Target, size: tuple[int, int] | None, path: str) -> dict[str, Any]:
-    """Return id, type, width and height of the image."""
+    """Return id, type, width and height of the image; the size may be None.
+
+    `size` is that of the selector. Raises ValueError without an address.
+    """
     source = target.source
     if isinstance(source, _Source):
         name = source.id or source.at_id
@@ -181,14 +186,17 @@ def _resource(target: _Target, size: tuple[int, int] | None, path: str) -> dict[
 
 
 def _require_url(text: str, path: str) -> None:
-    """Refuse what is no address."""
+    """Raise ValueError if a text is no address; `path` is its place in the file."""
     url = urlsplit(text)
     if not url.scheme or not (url.netloc or url.path):
         raise ValueError(f"Invalid url {text!r} - at `{path}`")
 
 
 def _size_and_mask(value: str, path: str) -> tuple[int, int] | None:
-    """Return width and height that an SVG selector states, whose polygon must be one."""
+    """Return width and height that an SVG selector states; None if it states none.
+
+    Raises ValueError unless it has a polygon of three corners or more.
+    """
     location = f" - at `{path}.target.selector.value`"
     # Declarations can make a text of any length.
     if "<!" in value:
@@ -208,7 +216,7 @@ def _size_and_mask(value: str, path: str) -> tuple[int, int] | None:
 
 
 def corners(points: str) -> list[tuple[float, float]]:
-    """Return the corners of the attribute `points` of a polygon; none if it is not one."""
+    """Return the corners (x, y) of the attribute `points` of a polygon; [] if it is not one."""
     pairs = []
     at = 0
     # One pair of numbers after the other, as SVG separates them by commas or blanks.
@@ -222,7 +230,7 @@ def corners(points: str) -> list[tuple[float, float]]:
 
 
 def kept(georeferenced: Map) -> dict[str, str]:
-    """Return what of a map is no point, as texts of attributes."""
+    """Return what of a map is no point, as texts by the name of an attribute of the points."""
     return {SOURCE: json.dumps({"annotation": georeferenced.id, **georeferenced.resource}),
             MASK: georeferenced.mask,
             TRANSFORMATION: json.dumps(georeferenced.transformation) if georeferenced.transformation

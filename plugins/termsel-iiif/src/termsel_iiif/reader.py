@@ -46,7 +46,7 @@ class AnnotationReader(Reader):
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points of a map."""
-        map_ = self._chosen(self._maps(path), path)
+        map_ = self._chosen_map(self._maps(path), path)
         if not map_.features:
             raise TermselError("this map has no control points", file=path,
                                hint="Add some, for example in Allmaps Editor.")
@@ -72,14 +72,15 @@ class AnnotationReader(Reader):
         return FeatureSet(points, crs="EPSG:4326", image_size=size)
 
     def parts(self, path: Path) -> dict[str, dict[str, str]]:
-        """Return the maps of a page by their numbers, unless one is chosen."""
+        """Return the options for each map of a page by its number; {} for a single or a chosen one.
+        """
         if self.options["map"]:
             return {}
         maps = self._maps(path)
         return {str(i): {"map": str(i)} for i in range(1, len(maps) + 1)} if len(maps) > 1 else {}
 
     def _maps(self, path: Path) -> list[Map]:
-        """Return the maps of an annotation."""
+        """Return the maps of an annotation; raises TermselError if the file is none."""
         text = read_text(path)
         try:
             return maps_of(text.encode())
@@ -87,8 +88,11 @@ class AnnotationReader(Reader):
             raise TermselError(f"this is not a georeference annotation: {error}", file=path,
                                hint="Correct it, or export it again.") from error
 
-    def _chosen(self, maps: list[Map], path: Path) -> Map:
-        """Return the map that the option names, or the only one."""
+    def _chosen_map(self, maps: list[Map], path: Path) -> Map:
+        """Return the map that the option names, or the only one.
+
+        Raises TermselError if there are several, none, or no such one.
+        """
         wanted_map = str(self.options["map"])
         listed = ", ".join(f"{i} ({map_.id})" if map_.id else str(i)
                            for i, map_ in enumerate(maps[:8], 1))

@@ -53,6 +53,7 @@ class Kind:
 
 
 def _polynomial(order: int) -> Kind:
+    """Return the transformation of viewers that is a polynomial of an order."""
     return Kind(f"polynomial of order {order}",
                 {"type": "polynomial", "options": {"order": order}}, "poly2d", {"degree": order})
 
@@ -139,7 +140,10 @@ SPLINED = 5000
 
 
 def _scaling_to_one(key: str, image: FloatArray, plane: FloatArray) -> Forward | None:
-    """Return a transformation of coordinates that are about 1."""
+    """Return a transformation from image (n, 2) to plane (n, 2), both scaled to about 1.
+
+    `key` is its kind; None if the points do not determine it.
+    """
     n = len(image)
     if key == "spline":
         # A spline through thousands of points fills the memory, that of viewers, too.
@@ -168,7 +172,8 @@ def _scaling_to_one(key: str, image: FloatArray, plane: FloatArray) -> Forward |
 
 
 def _similarity_columns(image: FloatArray, axis: int) -> FloatArray:
-    """Return the columns of the similarity: two shifts, cosine and sine, for x or for y."""
+    """Return the columns (n, 4) of the similarity for x (axis 0) or y: two shifts, cosine and sine.
+    """
     (line, sample) = image.T
     unit = np.ones(len(image))
     none = np.zeros(len(image))
@@ -177,6 +182,7 @@ def _similarity_columns(image: FloatArray, axis: int) -> FloatArray:
 
 
 def _monomials(image: FloatArray, order: int) -> FloatArray:
+    """Return the monomials of line and sample up to an order, (n, terms)."""
     line, sample = image.T
     columns = []
     for i in range(order + 1):
@@ -185,7 +191,10 @@ def _monomials(image: FloatArray, order: int) -> FloatArray:
 
 
 def _projective(image: FloatArray, plane: FloatArray) -> Forward | None:
-    """Return the projective transformation by the direct linear transformation."""
+    """Return the projective transformation by the direct linear transformation.
+
+    None if the points do not determine it.
+    """
     if len(image) < 4:
         return None
     source = np.column_stack([image, np.ones(len(image))])
@@ -209,7 +218,7 @@ def _projective(image: FloatArray, plane: FloatArray) -> Forward | None:
 
 
 def places(fitted: Fit) -> FloatArray:
-    """Return line and sample of places over the image (m, 2)."""
+    """Return line and sample (m, 2) of places spread evenly over the image."""
     (first_line, first_sample), (last_line, last_sample) = fitted.image_box()
     return np.stack(np.meshgrid(np.linspace(first_line, last_line, _ACROSS),
                                 np.linspace(first_sample, last_sample, _ACROSS)

@@ -51,7 +51,7 @@ class AnnotationWriter(Writer):
 
     def accepts(self, result: Result) -> bool:
         """Return True if there are points in a CRS of the Earth, and the image has an address."""
-        named = self.options["image_id"] or _first(result, SOURCE)
+        named = self.options["image_id"] or _attribute(result, SOURCE)
         return bool(named and len(result.features.points)) and result.features.crs != LOCAL
 
     def write(self, result: Result, path: Path) -> None:
@@ -92,7 +92,7 @@ class AnnotationWriter(Writer):
         write_text(path, json.dumps(content, indent=2, ensure_ascii=False) + "\n")
 
     def _source(self, result: Result) -> dict[str, Any]:
-        """Return the image: of the options, or of the annotation that was read."""
+        """Return the image: of the options, or else of the annotation that was read."""
         # What was read comes back as it was, but for what the options say.
         source = _json_of_attribute(result, SOURCE) or {}
         if self.options["image_id"]:
@@ -107,8 +107,8 @@ class AnnotationWriter(Writer):
 
     @staticmethod
     def _mask(result: Result) -> str:
-        """Return the selector that was read, or that of the whole image."""
-        text = _first(result, MASK)
+        """Return the selector (SVG) that was read, or one of the whole image, or of the points."""
+        text = _attribute(result, MASK)
         if text:
             return text
         if result.features.image_size is None:
@@ -139,7 +139,7 @@ def _transformation(fitted: Fit, image: FloatArray, lonlat: FloatArray,
         if by_points is not None:
             by_kind[key] = by_points
     named = kind_of_fit(fitted)
-    viewed = {key: _seen(fitted, by_points) for key, by_points in by_kind.items()
+    viewed = {key: _places_in_viewer(fitted, by_points) for key, by_points in by_kind.items()
               if named in (None, key)}
     if not viewed:
         return stated_before if isinstance(stated_before, dict) else None
@@ -153,8 +153,11 @@ def _transformation(fitted: Fit, image: FloatArray, lonlat: FloatArray,
     return stated_before if kind_of(stated_before) is kind else kind.statement
 
 
-def _seen(fitted: Fit, by_points: Forward) -> tuple[FloatArray, FloatArray]:
-    """Return where a viewer puts places of the image: on the ground (m, 3), and in the image."""
+def _places_in_viewer(fitted: Fit, by_points: Forward) -> tuple[FloatArray, FloatArray]:
+    """Return where a viewer puts places of the image, ground (m, 3), and these places (m, 2).
+
+    Places that it puts nowhere are left out.
+    """
     # All over the image, as a viewer shows all of it, and not at the points alone.
     at = places(fitted)
     height = float(fitted.ground_box()[0][2]) if fitted.model.uses_height else 0.0
@@ -169,8 +172,8 @@ def _seen(fitted: Fit, by_points: Forward) -> tuple[FloatArray, FloatArray]:
     return np.asarray(ground[finite]), at[finite]
 
 
-def _first(result: Result, name: str) -> str:
-    """Return what an attribute says at the first point that has it."""
+def _attribute(result: Result, name: str) -> str:
+    """Return what an attribute of the points says at the first that has it; "" if none has."""
     # The reader puts it at the first point, which a selection may have left out since.
     cells = result.features.points.attributes.get(name, ())
     return next((str(cell) for cell in cells if cell), "")
@@ -178,7 +181,7 @@ def _first(result: Result, name: str) -> str:
 
 def _json_of_attribute(result: Result, name: str) -> Any:
     """Return the value that an attribute of the points has as JSON; None where it is empty."""
-    text = _first(result, name)
+    text = _attribute(result, name)
     return json.loads(text) if text else None
 
 

@@ -50,7 +50,7 @@ __all__ = ["AntColony", "FigureCondition", "Lasso", "NestedRegression", "Ransac"
 
 @hookimpl
 def termsel_solvers() -> Iterable[type[Solver]]:
-    """Return the solvers."""
+    """Return the solvers of DEAP, of pymoo, of papers and of the literature."""
     from termsel_optimisers.deap_algorithms import Deap
     from termsel_optimisers.papers.correlation import CorrelationSeededGA
     from termsel_optimisers.pymoo_algorithms import Pymoo
@@ -68,7 +68,7 @@ def termsel_solvers() -> Iterable[type[Solver]]:
 
 @hookimpl
 def termsel_criteria() -> Iterable[type[Criterion]]:
-    """Return the criterion."""
+    """Return the criterion of the predicted error over the whole image."""
     from termsel_optimisers.rivals.condition import FigureCondition
 
     return [FigureCondition]
@@ -76,7 +76,7 @@ def termsel_criteria() -> Iterable[type[Criterion]]:
 
 @hookimpl
 def termsel_methods() -> Iterable[Method]:
-    """Return the method."""
+    """Return RANSAC."""
     from termsel_optimisers.rivals.ransac import Ransac
 
     return [Ransac()]

@@ -87,7 +87,10 @@ class Deap(Solver):
 
 
 def _loop(loop_name: str) -> Callable[..., Any]:
-    """Return the algorithm of a name, or the function that module:function says."""
+    """Return the algorithm of a name, or the function that module:function says.
+
+    Raises TermselError if there is no such algorithm or function.
+    """
     module, _, name = loop_name.rpartition(":")
     # Without a module it is one of DEAP's own.
     if not module:
@@ -154,7 +157,7 @@ def evolved(box: base.Toolbox, loop: Callable[..., Any], rng: np.random.Generato
 
 
 def _evaluate(box: base.Toolbox, individuals: Iterable[Individual]) -> None:
-    """Evaluate what a loop has left without a fitness."""
+    """Evaluate the individuals that a loop has left without a fitness."""
     unevaluated = [individual for individual in individuals if not individual.fitness.valid]
     for individual, values in zip(unevaluated, box.map(box.evaluate, unevaluated), strict=True):
         individual.fitness.values = values
@@ -162,6 +165,7 @@ def _evaluate(box: base.Toolbox, individuals: Iterable[Individual]) -> None:
 
 def _generation(index: int, individuals: list[Individual],
                 details: Mapping[str, Any]) -> Generation:
+    """Return individuals with their objectives and violations as a generation of this number."""
     genes: NDArray[Any] = np.array(individuals)
     return Generation(index, genes, Evaluation(
         np.array([individual.objectives for individual in individuals]),

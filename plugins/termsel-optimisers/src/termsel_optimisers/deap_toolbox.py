@@ -31,7 +31,7 @@ class Fitness(base.Fitness):
         super().__init__()
 
     def _set(self, values: Sequence[float]) -> None:
-        """Take the values of a fitness, and the repaired genes that they are of."""
+        """Take the values of a fitness; the owner takes the repaired genes that they are of."""
         super().setValues(values)
         if isinstance(values, EvaluatedValues) and self.owner is not None:
             # The genes are the repaired ones from now on, also where another process repaired them.
@@ -93,6 +93,7 @@ class _ProblemTools:
         self.problem = problem
 
     def population(self, n: int) -> list[Individual]:
+        """Return n random individuals, without a fitness."""
         genes = self.problem.genome.random(_rng(), n).tolist()
         return [Individual(chromosome, len(self.problem.objectives)) for chromosome in genes]
 
@@ -103,7 +104,7 @@ class _ProblemTools:
         return self.evaluated([individual])[0]
 
     def evaluated(self, individuals: list[Individual]) -> list[EvaluatedValues]:
-        """Return the values of individuals, each repaired to what the genome allows."""
+        """Return the values of individuals, each repaired to what the genome allows; [] of []."""
         if not individuals:
             return []
         genome = self.problem.genome
@@ -120,6 +121,8 @@ class _ProblemTools:
 
     def map(self, function: Callable[..., Any], individuals: Iterable[Any], *iterables: Any
             ) -> Iterable[Any]:
+        """Call a function for each individual; `evaluate` is called once, for all of them together.
+        """
         # What replaces or decorates `evaluate` is called for each individual.
         if getattr(function, "func", None) == self.evaluate and not iterables:
             return self.evaluated(list(individuals))
@@ -206,7 +209,10 @@ def register(box: base.Toolbox, role: str, declaration: str | None, genome: Geno
 
 
 def _argument(text: str) -> tuple[str, Any]:
-    """Return the name and the value of an operator's argument, KEY=NUMBER."""
+    """Return name and value of an operator's argument, KEY=NUMBER.
+
+    Raises TermselError if it is none.
+    """
     key, _, value = text.partition("=")
     try:
         return key.strip(), ast.literal_eval(value.strip())
@@ -217,14 +223,17 @@ def _argument(text: str) -> tuple[str, Any]:
 
 def _mate(individual_1: Individual, individual_2: Individual,
           genome: Genome) -> tuple[Individual, Individual]:
-    """Cross two individuals in place, with the operators for their types of genes."""
+    """Cross two individuals in place, with the operators for their types of genes; return both."""
     pair = np.array([individual_1, individual_2], dtype=genome.dtype)
     individual_1[:], individual_2[:] = crossover(pair, genome, 1.0, _rng()).tolist()
     return individual_1, individual_2
 
 
 def _mutate(individual: Individual, genome: Genome) -> tuple[Individual]:
-    """Mutate an individual in place, with the operators for its types of genes."""
+    """Mutate an individual in place, with the operators for its types of genes.
+
+    Return it in a tuple.
+    """
     genes = np.array([individual], dtype=genome.dtype)
     individual[:] = mutation(genes, genome, 1.0 / genome.size, _rng())[0].tolist()
     return (individual,)

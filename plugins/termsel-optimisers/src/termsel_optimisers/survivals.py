@@ -41,7 +41,7 @@ class _AgeSurvival(AGEMOEA2Survival):
 
 
 def _project(points: FloatArray, p: float) -> FloatArray:
-    """Return points scaled to a p-norm of 1; the origin stays."""
+    """Return points (..., m) scaled to a p-norm of 1; the origin stays."""
     length = np.maximum(points, 0.0)
     length = (length**p).sum(axis=-1, keepdims=True) ** (1 / p)
     return np.asarray(points / np.where(length > 0, length, 1.0))
@@ -66,7 +66,7 @@ class _Ranges(HyperplaneNormalization):
     nadir_point: Any
 
     def update(self, F: FloatArray, nds: Any = None) -> None:
-        """Update the ranges by a population's objectives, shape (p, m)."""
+        """Update the ranges by a population's objectives (p, m); one without extent counts as 1."""
         super().update(F, nds)
         self.nadir_point = np.where(self.nadir_point > self.ideal_point, self.nadir_point,
                                     self.ideal_point + 1.0)
@@ -110,7 +110,7 @@ class AgeMoea2(Nsga2):
     name = "age-moea2"
 
     def algorithm(self, **arguments: Any) -> Algorithm:
-        """Return pymoo's algorithm."""
+        """Return pymoo's algorithm with a survival that does not divide by zero."""
         return with_safe_survival(AGEMOEA2, **arguments)
 
 
@@ -120,7 +120,7 @@ class SmsEmoa(Nsga2):
     name = "sms-emoa"
 
     def algorithm(self, **arguments: Any) -> Algorithm:
-        """Return pymoo's algorithm."""
+        """Return pymoo's algorithm with a survival that does not divide by zero."""
         return with_safe_survival(SMSEMOA, **arguments)
 
 
@@ -134,5 +134,5 @@ class Spea2(Nsga2):
     name = "spea2"
 
     def algorithm(self, **arguments: Any) -> Algorithm:
-        """Return pymoo's algorithm."""
+        """Return pymoo's algorithm with a survival that does not divide by zero."""
         return with_safe_survival(SPEA2, **arguments)

@@ -70,7 +70,10 @@ class Grid:
 
 
 def grid(kinds: Iterable[int], usual: float = USUAL_PX) -> Grid:
-    """Return the solutions of some kinds, for a usual noise [px]."""
+    """Return all corrections of some kinds on a grid of size, share and noise, with their priors.
+
+    `usual` is the usual noise [px], which the grid's is a multiple of.
+    """
     of_kinds = []
     # Normal in the logarithm of the noise, and normalised over the grid.
     of_noise = -0.5 * (np.log(NOISES) / SPREAD) ** 2
@@ -113,8 +116,11 @@ class Belief:
 
     @cached_property
     def _cells(self) -> tuple[Grid, FloatArray, FloatArray, float]:
-        """Solutions that matter: the grid, probabilities, and covariances (c, 6, 6) by the noise's
-        variance; and the logarithm of the evidence of all."""
+        """What matters of the grid: solutions, probabilities (c,), covariances (c, 6, 6), evidence.
+
+        Solutions less likely than e^-50 times the best are left out. Covariances are by the noise's
+        variance; the evidence of all is its logarithm.
+        """
         # With x = S u and u ~ N(0, I): the posterior of u has the precision I + S A^T A S / s^2.
         of = self.grid
         by_noise = of.scales / of.noise[:, None]
@@ -185,8 +191,11 @@ class Belief:
 
     @cached_property
     def without_each(self) -> tuple[FloatArray, FloatArray]:
-        """Errors of the rows under the procedure without their feature [px], shape (m,), and the
-        logarithm of the probability density of each feature, given the others, shape (n,)."""
+        """Errors of the rows (m,) [px] by all other features, and the density of each feature (n,).
+
+        Each feature is left out of the whole procedure; the density is the logarithm of that of its
+        rows, given the others.
+        """
         of, share, covariance, _ = self._cells
         errors = np.empty(len(self.right))
         density = np.empty(int(self.feature.max()) + 1)

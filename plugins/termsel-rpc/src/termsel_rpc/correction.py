@@ -68,7 +68,7 @@ class Correction(Estimator):
 
     @property
     def options(self) -> dict[str, Any]:
-        """Nothing: the candidate knows the kinds."""
+        """No options: the candidate tries all kinds itself."""
         return {}
 
     def fit(self, model: Any, control: FeatureSet, scaling: Scaling, terms: BoolArray,
@@ -124,7 +124,10 @@ class Solution:
 
 def fit_of(model: Any, scaling: Scaling, control: FeatureSet, used: BoolArray,
            estimator: Estimator, solution: Solution) -> Fit:
-    """Return the fit of a solution, whose terms have no standard deviations of their own."""
+    """Return a solution as a fit to the features in use, `used` (n,).
+
+    Its terms have no standard deviations of their own.
+    """
     count = len(solution.coefficients)
     effective = round(solution.effective)
     adjustment = Adjustment(
@@ -148,7 +151,8 @@ def to_terms(model: RpcAffine, scaling: Scaling) -> FloatArray:
 
 def belief(model: RpcAffine, features: FeatureSet, scaling: Scaling,
            kinds: tuple[int, ...]) -> tuple[Belief, FloatArray]:
-    """Return what features say of the errors of a prepared model's RPC, and weights of the rows."""
+    """Return what features show of a prepared model's RPC errors, and the weights of the rows (m,).
+    """
     scaled = scaling.features(features)
     equations = model.equations(scaled)
     sigma = features.points.sigma
@@ -176,7 +180,7 @@ class CorrectedRpc(Method):
     """The RPC that features have, corrected as far as they show: as delivered, by a shift, ..."""
 
     def declines(self, control: FitData) -> str | None:
-        """Return why the RPC is not one of this image, or the features cannot correct it."""
+        """Return why the RPC is not one of this image, or cannot be corrected; None if it can."""
         rpc = control.features.rpc
         if rpc is None:
             return ("no RPC is given. Give it with --rpc FILE, or --image FILE of an image that "
@@ -202,7 +206,7 @@ class CorrectedRpc(Method):
         return None
 
     def fit(self, control: FitData) -> Fit:
-        """Fit the correction, whatever the features determine."""
+        """Return the fit of the correction; raises Undetermined without an RPC."""
         rpc = control.features.rpc
         if rpc is None:
             raise Undetermined("no RPC is given", hint="Give it with --rpc FILE.")
@@ -220,7 +224,10 @@ class CorrectedRpc(Method):
         return None
 
     def describe(self, fitted: Fit) -> str:
-        """Return how likely each kind is, and how well the corners are known."""
+        """Return sentences on the correction.
+
+        Its shift, how likely each kind is, and its uncertainty.
+        """
         assert isinstance(fitted.model, RpcAffine)
         believed, _ = belief(fitted.model, fitted.control.take(fitted.used), fitted.scaling,
                              tuple(range(len(CORRECTION_KINDS))))
@@ -240,7 +247,10 @@ class CorrectedRpc(Method):
                 "px.")
 
     def suspects(self, control: FitData) -> Suspects | None:
-        """Return blunders among few features, by what all others and the RPC predict."""
+        """Return blunders among few features, by what all others and the RPC predict.
+
+        None if the features are many, and are tested as those of any model.
+        """
         return None if len(control) >= MAX_TESTED_HERE else _suspects(control, _model_of(control))
 
 
@@ -248,6 +258,7 @@ _WORDS = ("no correction", "a shift", "a drift along the lines", "an affine corr
 
 
 def _model_of(control: FitData) -> RpcAffine:
+    """Return the model of the features' RPC, prepared for them."""
     rpc = control.features.rpc
     assert rpc is not None
     return _model(rpc).prepared(control.scaling, control.features.crs)
@@ -307,7 +318,11 @@ def _suspects(control: FitData, model: RpcAffine) -> Suspects | None:
 
 
 def _limits(sigma: FloatArray, n: int, reach: float) -> FloatArray:
-    """Return the errors [px] that would be left out for certain, of predictions with a sigma."""
+    """Return the errors (n,) [px] beyond which a feature is surely a blunder.
+
+    `sigma` (n,) [px] is that of the predictions, `n` the number of features, and `reach` the
+    logarithm of the farthest over the nearest distance of a blunder.
+    """
     # The odds of a blunder against a normal error, solved for the error: a fixed point.
     errors = 4 * sigma
     # Converges as errors enter by their logarithms.

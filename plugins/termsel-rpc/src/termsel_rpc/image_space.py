@@ -108,7 +108,7 @@ class RpcShift(Refinement):
 
     @property
     def source(self) -> str:
-        """The RPC and its file."""
+        """The RPC and its file, for messages."""
         return f"the RPC {self._file}"
 
     def footprint(self) -> FloatArray:
@@ -118,7 +118,7 @@ class RpcShift(Refinement):
         return np.stack([middle - half, middle + half])
 
     def first_order(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the RPC positions of ground points, and the polynomial's columns there."""
+        """Return the RPC's scaled positions (n, 2) of places, and the terms' columns (n, 2, k)."""
         geographic = self.geographic(ground)
         # Required by geographic.
         assert self.scaling is not None
@@ -135,7 +135,10 @@ class RpcShift(Refinement):
                 or super().equations(features))
 
     def linearised(self, features: FeatureSet, coefficients: FloatArray) -> Equations | None:
-        """Return the equations about a solution, of lines in parametric form."""
+        """Return the equations about a solution, of lines in parametric form.
+
+        None for the usual form.
+        """
         if not len(features.lines) or self.options.get("line_form") != "parametric":
             return None
 
@@ -219,7 +222,8 @@ def _absorb_denominators(rpc: Rpc, linear: FloatArray, shifted: Rpc) -> Rpc | No
 
 
 def _monomials(rpc: Rpc, ground: FloatArray) -> FloatArray:
-    """Return the 20 columns of an RPC's numerators, shape (n, 20)."""
+    """Return the 20 columns of an RPC's numerators at longitude, latitude, height (n, 3): (n, 20).
+    """
     constant = tuple(np.eye(1, 20)[0])
     # With a denominator of 1 the quotient is the numerator, here one monomial at a time.
     bare = replace(rpc, image_offset=(0.0, 0.0), image_scale=(1.0, 1.0), line_denominator=constant)
@@ -232,7 +236,10 @@ def _name(axis: str, column: str) -> str:
 
 
 def _rpc_from_record(text: str) -> tuple[Rpc, str]:
-    """Return an RPC and the name of its file from the JSON that a result holds."""
+    """Return an RPC and the name of its file from the JSON that a result holds.
+
+    Raises TermselError if the text is no such RPC.
+    """
     try:
         values: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value
                                   for name, value in json.loads(text).items()}

@@ -51,7 +51,7 @@ class RpcJitter(RpcShift):
         return (*names, "across") if self.options["across"] else tuple(names)
 
     def first_order(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the RPC positions of ground points, and the splines' values there."""
+        """Return the RPC's scaled positions (n, 2) of places, and the splines' values (n, 2, k)."""
         geographic = self.geographic(ground)
         # Required by geographic.
         assert self.scaling is not None
@@ -88,7 +88,10 @@ class JitteredRpc(CorrectedRpc):
     """The RPC that features have, with as many intervals as leave-one-out supports."""
 
     def fit(self, control: FitData) -> Fit:
-        """Fit the splines; the least number of intervals within a standard error of the best."""
+        """Return the fit of the fewest intervals that predict within a standard error of the best.
+
+        Raises Undetermined without an RPC, or with too few features.
+        """
         rpc = control.features.rpc
         if rpc is None:
             raise Undetermined("no RPC is given", hint="Give it with --rpc FILE.")
@@ -98,7 +101,7 @@ class JitteredRpc(CorrectedRpc):
                 break
             model = RpcJitter(rpc=json.dumps(asdict(rpc)), intervals=intervals).prepared(
                 control.scaling, control.features.crs)
-            squares = _left_out(model, control)
+            squares = _held_out_squares(model, control)
             if squares is not None:
                 errors_of.append((model, squares))
         if not errors_of:
@@ -113,7 +116,7 @@ class JitteredRpc(CorrectedRpc):
             np.ones(len(control), dtype=bool))
 
     def describe(self, fitted: Fit) -> str:
-        """Return how many intervals there are."""
+        """Return a sentence on over how many intervals the correction changes."""
         return (f"The points support a correction of the vendor's RPC that changes along the "
                 f"lines, over {fitted.model.options['intervals']} intervals.")
 
@@ -121,8 +124,8 @@ class JitteredRpc(CorrectedRpc):
         """Return None: the corrections with a prior look for blunders."""
 
 
-def _left_out(model: RpcJitter, control: FitData) -> FloatArray | None:
-    """Return squared errors of the equations without their own rows; None where undetermined."""
+def _held_out_squares(model: RpcJitter, control: FitData) -> FloatArray | None:
+    """Return squared errors (m,) of the equations, each by all others; None if undetermined."""
     equations = model.equations(control.scaling.features(control.features))
     u, size, _ = np.linalg.svd(equations.A, full_matrices=False)
     if size[-1] < 1e-8 * size[0]:

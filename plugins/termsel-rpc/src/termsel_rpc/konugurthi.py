@@ -24,7 +24,12 @@ class E50PerArea(Criterion):
     needs_check = False
 
     def score(self, fits: Fits) -> FloatArray:
-        """Return the figure [px]; infinite for points on a straight line."""
+        """Return the median error over the covered share [px].
+
+        Infinite for points on a straight line.
+
+        Raises TermselError without selection points.
+        """
         if not len(fits.check):
             raise TermselError("the criterion e50-area requires selection points, and there are "
                                "none", hint="Choose --set judged_by=all, or give selection points.")

@@ -58,7 +58,7 @@ class FieldOverRpc:
 
     @property
     def probability(self) -> float:
-        """Probability of a field."""
+        """Probability that there is a field, beyond the correction of the RPC."""
         return self.over.probability
 
     @property
@@ -99,7 +99,7 @@ class RpcField(RpcAffine):
         return np.column_stack([self.known(ground)[0], np.zeros(len(ground))])
 
     def interpolation(self, control: FeatureSet) -> FieldOverRpc | None:
-        """Return the collocation (see `SensorModel.interpolation`)."""
+        """Return the field over the RPC by control points; None if they are too few for one."""
         points = control.points
         field: Any = Field().interpolation(
             replace(control, points=replace(points, ground=self.plane(points.ground))))
@@ -126,7 +126,10 @@ class Local(Estimator):
 
     def fit(self, model: Any, control: FeatureSet, scaling: Scaling, terms: BoolArray,
             used: BoolArray) -> Fit:
-        """Fit the field (see `Estimator.fit`) by points in use."""
+        """Return the fit of the field by points in use (see `Estimator.fit`).
+
+        Raises Undetermined with lines, too few points, or a field that is not likely.
+        """
         in_use = control.take(used)
         if len(in_use.lines):
             raise Undetermined("local deformation takes control points alone, and there are "
@@ -152,7 +155,8 @@ class LocalRpc(CorrectedRpc):
     """
 
     def fit(self, control: FitData) -> Fit:
-        """Fit the field, unless corrections alone predict left-out points as well."""
+        """Return the fit of the field; raises Undetermined if a correction alone predicts as well.
+        """
         rpc = control.features.rpc
         if rpc is None:
             raise Undetermined("no RPC is given", hint="Give it with --rpc FILE.")
@@ -175,7 +179,7 @@ class LocalRpc(CorrectedRpc):
         return with_field
 
     def describe(self, fitted: Fit) -> str:
-        """Return how likely the field is."""
+        """Return a sentence on how likely the field is."""
         field = fitted.interpolation
         assert isinstance(field, FieldOverRpc)
         return (f"The points show local deformation beyond the vendor's RPC, with a probability of "

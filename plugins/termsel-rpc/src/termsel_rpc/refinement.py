@@ -66,7 +66,7 @@ class Refinement(SensorModel):
         return ready
 
     def _require_seen(self) -> None:
-        """Refuse control that is far outside the area that the image covers."""
+        """Raise TermselError if the control is far outside the area that the image covers."""
         corners = np.array(list(product((-1.0, 1.0), repeat=3)))
         geographic = self.geographic(corners)[:, :2]
         low, high = self.footprint()
@@ -83,7 +83,7 @@ class Refinement(SensorModel):
                 hint="Give the geometry of this image; x must be longitude or easting.")
 
     def known(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return `first_order`; a search needs the same places many times."""
+        """Return `first_order` of places, kept as a search asks for the same ones many times."""
         # By content: a search asks for the same few arrays again and again.
         key = ground.tobytes()
         if key not in self._known:
@@ -100,5 +100,6 @@ class Refinement(SensorModel):
 
 
 def _range(low: FloatArray, high: FloatArray) -> str:
+    """Return the ranges of longitude and latitude between two corners [deg] in words."""
     return (f"longitude {low[0]:.4g} to {high[0]:.4g} and latitude {low[1]:.4g} to "
             f"{high[1]:.4g}")

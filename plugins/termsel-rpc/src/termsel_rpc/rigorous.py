@@ -94,13 +94,13 @@ class PushbroomRefine(Refinement):
 
     @property
     def terms(self) -> tuple[str, ...]:
-        """Names of the biases."""
+        """Names of the biases that the option `biases` chooses."""
         return {"attitude": ATTITUDE, "position": POSITION,
                 "both": ATTITUDE + POSITION}[self.options["biases"]]
 
     @property
     def source(self) -> str:
-        """The geometry and its file."""
+        """The geometry and its file, for messages."""
         return f"the geometry {self._file}"
 
     def footprint(self) -> FloatArray:
@@ -110,7 +110,7 @@ class PushbroomRefine(Refinement):
         return np.stack([corners.min(axis=0), corners.max(axis=0)])
 
     def first_order(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the nominal image positions, and their derivatives by the biases."""
+        """Return the nominal scaled positions (n, 2) of places, and their derivatives (n, 2, k)."""
         nominal = np.zeros(len(self.terms))
         return self.project(nominal, ground), self._derivatives(nominal, ground)
 
@@ -143,7 +143,7 @@ class PushbroomRefine(Refinement):
         return np.asarray(np.moveaxis(ahead - behind, 0, -1) / (2 * _DERIVATIVE_STEP))
 
     def _scanner_with_biases(self, coefficients: FloatArray) -> Pushbroom:
-        """Return the scanner with separate biases for each point, shape (n, k)."""
+        """Return one scanner with biases of its own for each point, by coefficients (n, k)."""
         assert self.scaling is not None
         sensor = self.sensor
         # From scaled units to radians: one image unit is so many detectors.

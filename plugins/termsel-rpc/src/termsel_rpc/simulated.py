@@ -35,12 +35,13 @@ def nominal_sensor(data_set: str = DATASET_NAME) -> Pushbroom:
     # Time from the middle of the scene to its end [s].
     end = true.centre[0] * true.line_period
     roll = -ROLL * true.ifov, -ROLL_DRIFT * true.ifov / end
-    return replace(true, roll=_changed_rpc(true.roll, roll),
-                   pitch=_changed_rpc(true.pitch, (-PITCH * true.ifov,)),
-                   yaw=_changed_rpc(true.yaw, (-YAW / true.centre[1],)))
+    return replace(true, roll=_with_drift(true.roll, roll),
+                   pitch=_with_drift(true.pitch, (-PITCH * true.ifov,)),
+                   yaw=_with_drift(true.yaw, (-YAW / true.centre[1],)))
 
 
-def _changed_rpc(angle: Angle, by: tuple[float, ...]) -> Angle:
+def _with_drift(angle: Angle, by: tuple[float, ...]) -> Angle:
+    """Return an angle whose drift polynomial has `by` added to its first coefficients [rad]."""
     drift = np.array(angle.drift)
     drift[:len(by)] += by
     return Angle(tuple(drift.tolist()))
@@ -91,7 +92,7 @@ def matches(wrong: float = 0.3, seed: int = 0) -> FeatureSet:
 
 def _measured_scene(scene: FeatureSet, kind: np.ndarray[tuple[int], np.dtype[np.str_]],
                     rng: np.random.Generator) -> FeatureSet:
-    """Return a scene without noise, with its points measured well, inexactly or wrongly."""
+    """Return a scene with its points measured well, inexactly or wrongly, as `kind` (n,) says."""
     points = scene.points
     n = len(points)
     # Every draw is made for all points, so that the seed gives each its own whatever its kind.
@@ -106,7 +107,7 @@ def _measured_scene(scene: FeatureSet, kind: np.ndarray[tuple[int], np.dtype[np.
 
 
 def quality() -> np.ndarray[tuple[int], np.dtype[np.str_]]:
-    """Return for each point of `candidates` whether it is good, inexact or a blunder."""
+    """Return for each point of `candidates` whether it is good, inexact or wrong, (n,)."""
     scene = simulate_scene(SCENE, n_points=_POINTS, n_lines=0, noise=0.0)
     kind = np.full(_POINTS, "good", dtype="<U7")
     rng = np.random.default_rng([_SEED, 1])

@@ -48,7 +48,8 @@ def spatial_blocks(X: Any, across: int = 3) -> IntArray:
 
 
 def _strips(values: FloatArray, count: int) -> IntArray:
-    """Return in which of `count` strips of equally many values each value is."""
+    """Return the number of the strip of each value (n,), of `count` strips of equally many values.
+    """
     strips = np.zeros(len(values), dtype=np.intp)
     # The order of the values alone counts, so that clusters do not empty the strips between.
     strips[np.argsort(values, kind="stable")] = np.arange(len(values)) * count // max(

@@ -31,7 +31,10 @@ class WithOptions(BaseEstimator):  # type: ignore[misc]
         return {**self._values(), **parameters} if deep else parameters
 
     def set_params(self, **params: Any) -> Any:
-        """Set parameters, or options of the model or solver by their names."""
+        """Set parameters, or options of the model or solver, by their names; return the estimator.
+
+        Raises ValueError for a name that is neither.
+        """
         # Nested parameters have their own name before two underscores, as scikit-learn has it.
         own_parameters = {name: params.pop(name) for name in list(params)
                           if name.partition("__")[0] in self._get_param_names()}
@@ -49,7 +52,7 @@ class WithOptions(BaseEstimator):  # type: ignore[misc]
         return self
 
     def _values(self) -> dict[str, Any]:
-        """Return the options by name, as they are set; none of an instance or unknown name."""
+        """Return the options of the model or solver as set or by default; {} of an instance."""
         try:
             extension = self._taken()
         except TermselError:
@@ -63,11 +66,12 @@ class WithOptions(BaseEstimator):  # type: ignore[misc]
                 for option in extension.declared_options}  # type: ignore[attr-defined]
 
     def _taken(self) -> Any:
-        """Return the class or instance that is given, perhaps by name."""
+        """Return the class or instance that is given; raises TermselError for a name not known."""
         return termsel.get(f"{self.extension}s", getattr(self, self.extension))
 
     def _made(self, **further: Any) -> Any:
-        """Return the part with its options."""
+        """Return an instance with its options; raises TermselError for options of one that is made.
+        """
         extension = self._taken()
         options = {**further, **(self.options or {})}
         if isinstance(extension, type):

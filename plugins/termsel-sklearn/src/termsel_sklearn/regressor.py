@@ -157,7 +157,10 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, WithOptions):  # ty
         return image[:, 0] if self._columns is None else image[:, :self._columns]
 
     def _method(self) -> Method | None:
-        """Return the method that stands in place of a strategy, if one does."""
+        """Return the method that stands in place of a strategy; None for a strategy.
+
+        Raises ValueError for a name that is neither.
+        """
         if isinstance(self.strategy, Method):
             return self.strategy
         if self.strategy in STRATEGIES:
@@ -170,7 +173,7 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, WithOptions):  # ty
                              ) from error
 
     def _models(self) -> tuple[SensorModel, SensorModel]:
-        """Return the model for points with heights that differ, and for others."""
+        """Return the model for points whose heights differ, and the one for others."""
         degree = {} if self.degree is None else {"degree": self.degree}
         if isinstance(self.model, str) and self.model == "polynomial":
             options = {**degree, **(self.options or {})}
@@ -179,13 +182,17 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, WithOptions):  # ty
         return model, model
 
     def _taken(self) -> Any:
+        """Return the class or instance of the model; by default polynomials."""
         polynomial = isinstance(self.model, str) and self.model == "polynomial"
         return Polynomial3D if polynomial else super()._taken()
 
 
 def _merge_points(X: FloatArray, image: FloatArray, weights: FloatArray,
                   ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return points without those of weight 0, those of one place as their weighted mean."""
+    """Return places, positions and weights without those of weight 0.
+
+    Points of one place become their weighted mean, in the order in which they first occur.
+    """
     use = weights > 0
     X = X[use]
     image = image[use]

@@ -68,7 +68,7 @@ class ColumnProblem(Problem):
             on=["constant"], off=[name for name, off in zip(names, constant, strict=True) if off])
 
     def evaluate(self, genes: BoolArray) -> Evaluation:
-        """Return the criterion; columns that depend on others in use violate it."""
+        """Return the criterion for genes (p, columns); columns that depend on others violate it."""
         violation = (genes & self.genome.off).sum(axis=1).astype(np.float64)
         genes = genes[:, 1:]
         in_use_together = genes[:, :, None] & genes[:, None, :]

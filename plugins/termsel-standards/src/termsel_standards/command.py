@@ -83,7 +83,10 @@ def accuracy(source: Path, survey_sigma: float | None, survey_sigma_z: float | N
 def _stated_of_all(results: list[Result],
                    state: Callable[[Result], Statements | PredictedStatement],
                    ) -> list[Statements | PredictedStatement]:
-    """Return the statements on results; of several, those without one are named on stderr."""
+    """Return the statements on results; of several, those that have none are named on stderr.
+
+    Raises TermselError if none has one.
+    """
     from termsel import TermselError
 
     stated = []
@@ -101,7 +104,7 @@ def _stated_of_all(results: list[Result],
 
 
 def _results_of(folder: Path) -> list[Result]:
-    """Return the result of a folder, or those of its folders, as a block and a batch have them."""
+    """Return the result of a folder, or those of its folders, as of a block and a batch."""
     from termsel import read_result
     from termsel.toolkit.files import results_within
 
@@ -116,7 +119,7 @@ def _results_of(folder: Path) -> list[Result]:
 
 
 def _predicted_only(result: Result) -> PredictedStatement | None:
-    """Return the statement on what a result predicts, if no independent points tested it."""
+    """Return the statement on what a result predicts; None if independent points tested it."""
     from termsel.toolkit.files import prediction_of
     from termsel_standards.statement import prediction_statement
 
@@ -125,13 +128,14 @@ def _predicted_only(result: Result) -> PredictedStatement | None:
 
 
 def _lines_of(stated: Statements | PredictedStatement, took: str) -> Iterator[str]:
+    """Yield the lines of a statement for the terminal, tested or predicted."""
     from termsel_standards.statement import Statements
 
-    return _text(stated, took) if isinstance(stated, Statements) else _predicted_text(stated)
+    return _tested_text(stated, took) if isinstance(stated, Statements) else _predicted_text(stated)
 
 
-def _text(stated: Statements, took: str) -> Iterator[str]:
-    """Yield the lines of a statement for the terminal."""
+def _tested_text(stated: Statements, took: str) -> Iterator[str]:
+    """Yield the lines of a tested statement; `took` says what part the check points took."""
     points = stated.distribution.points
     yield f"{stated.source}: {points} check points, {took} no part in any choice"
     yield ""

@@ -122,6 +122,7 @@ def errors_of(result: Result) -> GroundErrors:
 
 
 def _survey_of(points: Points) -> FloatArray:
+    """Return standard deviations of the survey (n, 2) [m] in x and y; NaN if not stated."""
     columns = [_sigmas(points.attributes.get(name, [""] * len(points)), name, points.ids)
                for name in SIGMAS[:2]]
     # Points have the columns only where their survey is known; blank cells are unknown, too.
@@ -130,7 +131,10 @@ def _survey_of(points: Points) -> FloatArray:
 
 def _sigmas(cells: Iterable[Any], name: str, ids: Sequence[str], file: Path | None = None,
             ) -> FloatArray:
-    """Return standard deviations, with NaN for blank cells."""
+    """Return standard deviations [m] of cells, NaN for blank ones.
+
+    Raises TermselError for a negative one, or no number.
+    """
     # Rows of a table are counted from 1, and the first is the header.
     sigma = np.array([_number(str(cell), name, file, line) for line, cell in enumerate(cells, 2)])
     for value, point in zip(sigma.tolist(), ids, strict=True):
@@ -141,7 +145,10 @@ def _sigmas(cells: Iterable[Any], name: str, ids: Sequence[str], file: Path | No
 
 
 def _number(cell: str, name: str, file: Path | None, line: int) -> float:
-    """Return the number of a cell, NaN of a blank one; errors name line and column."""
+    """Return the number of a cell, NaN of a blank one.
+
+    Raises TermselError with line and column if none.
+    """
     if not cell.strip():
         return np.nan
     try:
@@ -208,6 +215,7 @@ def read_errors(path: Path | str) -> GroundErrors:
 
 
 def _columns(path: Path, rows: Sequence[Mapping[str, str]], names: Sequence[str]) -> FloatArray:
+    """Return the numbers (n, columns) of some columns of a table's rows; NaN for blank cells."""
     values = []
     for line, row in enumerate(rows, 2):
         values.append([_number(row.get(name, ""), name, path, line) for name in names])

@@ -37,7 +37,7 @@ def outline_of(result: Result) -> FloatArray:
     height = float(fitted.ground_box()[0][2])
     ground = fitted.locate(low + around * (high - low), np.full(len(around), height))
     if fitted.view is not None and not fitted.holds(ground).all():
-        ground = _held(fitted, height)
+        ground = _hull_of_valid_ground(fitted, height)
     lonlat = to_wgs84(features.crs)(ground)[:, :2]
     # Beyond the horizon there is no ground: then the rectangle around the features.
     if not np.isfinite(lonlat).all():
@@ -53,8 +53,8 @@ def outline_of(result: Result) -> FloatArray:
     return np.asarray(np.round(np.concatenate([lonlat, lonlat[:1]]), 9))
 
 
-def _held(fitted: Fit, height: float) -> FloatArray:
-    """Return the hull of the ground where a model holds, at a height (n, 3)."""
+def _hull_of_valid_ground(fitted: Fit, height: float) -> FloatArray:
+    """Return the hull (n, 3) of the ground on which a model is valid, at a height [m]."""
     ground = ground_where_held(fitted, image_places(fitted), height)
     # Places beyond the horizon have no ground; the hull goes around the others.
     ground = ground[np.isfinite(ground).all(axis=1)]

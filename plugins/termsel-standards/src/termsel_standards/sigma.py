@@ -144,7 +144,11 @@ def write_sigma(
 def _grid(result: Result, like_map: Path | str | None, bounds: Sequence[float] | None,
           resolution: float | None, crs: str | None,
           heights: tuple[Path | str | None, float]) -> MapGrid:
-    """Return the pixels of the raster."""
+    """Return the pixels of the raster: of a map, or of bounds, or of the image's extent.
+
+    Without a resolution it has some `_USUAL` pixels along its longer side. Raises TermselError for
+    bounds without an area, or too many pixels.
+    """
     from affine import Affine
 
     if resolution is not None and not (isfinite(resolution) and resolution > 0):
@@ -204,7 +208,10 @@ class _Nodes:
 
     @classmethod
     def of(cls, result: Result, grid: MapGrid, surface: Any) -> _Nodes:
-        """Return nodes as close together as the tolerance asks for."""
+        """Return nodes so close that interpolation between them is within the tolerance.
+
+        Raises TermselError if there are no heights, no control near, or no uncertainty on the map.
+        """
         from scipy.ndimage import spline_filter
 
         flat = not result.fit.model.uses_height
@@ -268,7 +275,12 @@ class _Nodes:
             intervals *= 2
 
     def looked_up(self, xy: FloatArray, ground: FloatArray) -> FloatArray:
-        """Return standard deviations (n, 4) of places on the map that are these on the ground."""
+        """Return sigma (n, 4) of places on the map (n, 2) whose ground is (n, 3).
+
+        NaN without a height.
+
+        Line and sample are in px, east and north in m.
+        """
         from scipy.ndimage import map_coordinates
 
         # Positions in units of the nodes, those of heights beyond the nodes at the last of them.
@@ -288,7 +300,7 @@ class _Nodes:
         return np.asarray(np.sqrt(np.maximum(squares, 0.0)))
 
     def pixels(self, window: Any, transform: Any) -> Any:
-        """Return the bands of a window."""
+        """Return the bands (bands, lines, samples) of a window of the raster."""
         x = transform.c + (np.arange(window.width) + 0.5) * transform.a
         y = transform.f + (np.arange(window.height) + 0.5) * transform.e
         xy = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
@@ -306,14 +318,15 @@ class _Nodes:
 
 
 def _axis(low: float, high: float, intervals: int) -> FloatArray:
-    """Return nodes from one end to the other, and some beyond either."""
+    """Return nodes from one end to the other in so many intervals, and `_AROUND` beyond either."""
     step = (high - low) / intervals
     return np.asarray(low + step * np.arange(-_AROUND, intervals + _AROUND + 1))
 
 
 def _to_ground(crs: str, control_crs: str, control: FloatArray) -> Callable[[FloatArray],
                                                                             FloatArray]:
-    """Return what turns x and y on the map (n, 2) into ground (n, 3), with heights of 0."""
+    """Return the function from x and y on the map (n, 2) to the ground (n, 3), with heights of 0.
+    """
     from pyproj import Transformer
 
     turn = Transformer.from_crs(crs, horizontal(control_crs), always_xy=True)
@@ -330,7 +343,10 @@ def _to_ground(crs: str, control_crs: str, control: FloatArray) -> Callable[[Flo
 
 
 def _sigma(result: Result, ground: FloatArray) -> FloatArray:
-    """Return standard deviations of line and sample [px], east and north [m], shape (n, 4)."""
+    """Return sigma of line and sample [px], east and north [m], at ground places (n, 3): (n, 4).
+
+    NaN where any is not known; raises TermselError if the ground is not in metres.
+    """
     with np.errstate(all="ignore"):
         of_image = result.sigma(ground)
         scale = result.fit.ground_box()[1][:2]

@@ -78,7 +78,7 @@ class StacItem(Writer):
         write_text(path, json.dumps(item, indent=2, ensure_ascii=False) + "\n")
 
     def _asset(self) -> dict[str, Any]:
-        """Return the image as an asset: address, size and checksum; nothing where it is unknown."""
+        """Return the image as an asset: address, size and checksum; {} if neither is given."""
         image = self.options["image"]
         href = self.options["href"]
         if image is None:
@@ -90,13 +90,13 @@ class StacItem(Writer):
 
 
 def _extensions_of(fields: list[str]) -> list[str]:
-    """Return the addresses of the extensions whose fields an item has."""
+    """Return the addresses of the extensions that the names of fields are of."""
     prefixes = {field.partition(":")[0] for field in fields if ":" in field}
     return [uri for prefix, uri in EXTENSIONS.items() if prefix in prefixes]
 
 
 def _time(date: str) -> str:
-    """Return a date as RFC 3339 has it, in UTC; "" for none."""
+    """Return a date as RFC 3339 has it, in UTC; "" of "". Raises TermselError if it is no date."""
     if not date:
         return ""
     try:

@@ -101,7 +101,8 @@ class Distribution:
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """What the distribution lacks of the recommended one."""
+        """What the distribution lacks of the recommended one, as parts of sentences; () if nothing.
+        """
         faults = []
         if self.quadrants and min(self.quadrants) < QUADRANT * self.points:
             faults.append(f"a quadrant has fewer than {QUADRANT:.0%} of the points")
@@ -186,7 +187,7 @@ class PredictedStatement:
 
 
 def prediction_statement(source: str, prediction: Prediction) -> PredictedStatement:
-    """Return the statement on a predicted accuracy."""
+    """Return the statement on a predicted accuracy, by which ASPRS and NSSDA are not stated."""
     why = "not stated, as no independent check points were measured: a prediction is no test"
     rmse, low, high = prediction.metres or (None, None, None)
     return PredictedStatement(
@@ -268,7 +269,7 @@ def statements_of(ground_errors: GroundErrors, horizontal_class: float | None = 
 
 
 def _component(name: str, errors: FloatArray) -> Component:
-    """Return the figures of the errors along one axis [m]."""
+    """Return the figures of the errors (n,) along one axis [m]."""
     n = len(errors)
     size = np.abs(errors)
     # Shapiro and Wilk's test divides by the scatter, which equal errors have none of.
@@ -282,7 +283,8 @@ def _component(name: str, errors: FloatArray) -> Component:
 
 
 def _survey(sigma: FloatArray) -> float | None:
-    """Return the RMSE of the survey, of vectors with a standard deviation for each coordinate."""
+    """Return the RMSE [m] of the survey by its standard deviations (n, d); None if any is unknown.
+    """
     if np.isnan(sigma).any():
         return None
     return float(np.sqrt((sigma**2).sum(axis=1).mean()))
@@ -301,7 +303,10 @@ _WORDS = {
 
 def _asprs(direction: str, points: int, value: float | None,
            stated_class: float | None) -> Statement:
-    """Return the statement of ASPRS on an accuracy [m], tested or tested by a reduced number."""
+    """Return the statement of ASPRS on a RMSE [m]; it says why, if none can be made.
+
+    `direction` is horizontal or vertical, `stated_class` the class to test [m], None for the least.
+    """
     # Without a stated class the data meet the least one that is not below their accuracy.
     name = f"ASPRS {direction}"
     if value is None:
@@ -334,7 +339,7 @@ def class_of(value: float) -> float:
 
 
 def _nssda_vertical(vertical: float | None, too_few: str | None) -> Statement:
-    """Return the statement of vertical accuracy by NSSDA, or why there is none."""
+    """Return the statement of vertical accuracy by NSSDA; it says why, if none can be made."""
     if vertical is None or too_few:
         return Statement("NSSDA vertical", None, "not stated, as no heights were tested"
                          if vertical is None else f"not stated: {too_few}")
@@ -375,7 +380,10 @@ def _notes(ground_errors: GroundErrors, total: float, survey: float | None,
            distribution: Distribution,
            components: tuple[Component, ...],
            classes: tuple[float | None, float | None]) -> list[str]:
-    """Return what limits the figures: points, blunders, the survey."""
+    """Return sentences on what limits the figures: points, blunders, the survey.
+
+    [] if nothing does.
+    """
     notes = []
     # With fewer the statement says it.
     if ASPRS_POINTS <= len(ground_errors.ids) < distribution.required:

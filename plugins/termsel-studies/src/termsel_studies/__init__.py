@@ -39,7 +39,7 @@ def termsel_commands(cli: click.Group) -> None:
 
 @hookimpl
 def termsel_parts() -> Iterable[Part]:
-    """Return what is made of a study, and what runs its cells on the workers of a scheduler."""
+    """Return the parts that write a study's files and map, and that run its cells on a cluster."""
     from termsel.toolkit import Part
     from termsel.toolkit.studies import StudyOutput
     from termsel_studies import ioh

@@ -53,7 +53,7 @@ def claims(groups: Groups, comparison: Comparison | None, rows: list[Row]) -> li
 
 
 def _claim_of_single(groups: Groups) -> list[str]:
-    """Return what can be said without a test over instances."""
+    """Return sentences on single instances, where they are too few for a test over them."""
     number = len(groups.common)
     total = len(groups.instances)
     if number:
@@ -64,7 +64,7 @@ def _claim_of_single(groups: Groups) -> list[str]:
     else:
         sentences = ["No instance was run with all methods, so nothing is compared."]
     if number < total:
-        sentences.append(_not_run(groups))
+        sentences.append(_missing_runs(groups))
     for name in groups.common:
         by_method = groups.instances[name]
         # A single run, such as one of a solver without chance, says nothing of the next one.
@@ -81,8 +81,7 @@ def _claim_of_single(groups: Groups) -> list[str]:
 
 
 def _advantage(values: Sequence[float], rival: str, of_rival: Sequence[float]) -> str:
-    """Return in words by how much a method is better than another, and whether chance explains it.
-    """
+    """Return in words how probably a method beats another, and whether that may be chance."""
     size = effect_size(values, of_rival)
     low, high = effect_size_interval(size, len(values), len(of_rival))
     counts = dict.fromkeys((len(values), len(of_rival)))
@@ -92,8 +91,8 @@ def _advantage(values: Sequence[float], rival: str, of_rival: Sequence[float]) -
             f"{doubt})")
 
 
-def _not_run(groups: Groups) -> str:
-    """Return which methods are missing on which instances."""
+def _missing_runs(groups: Groups) -> str:
+    """Return a sentence on which methods have no runs on which instances."""
     missing = []
     for name, by_method in groups.instances.items():
         missing += [f"{method} on {name}" for method in groups.methods if method not in by_method]
@@ -103,12 +102,13 @@ def _not_run(groups: Groups) -> str:
 
 
 def size_in_words(value: float) -> str:
-    """Return an effect size in the words of Vargha and Delaney 2000."""
+    """Return an effect size (0 to 1) in the words of Vargha and Delaney 2000: negligible to large.
+    """
     return next((size for limit, size in _SIZES if max(value, 1 - value) >= limit), "negligible")
 
 
 def _over_instances(comparison: Comparison) -> list[str]:
-    """Return what may be claimed over all instances, by tests that are corrected."""
+    """Return sentences on what may be claimed over all instances, by corrected tests."""
     sentences = []
     if comparison.p is not None:
         verdict = "differ" if comparison.p < SIGNIFICANCE else "cannot be distinguished"

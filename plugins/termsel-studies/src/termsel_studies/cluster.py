@@ -66,7 +66,10 @@ def on_cluster(cells: Sequence[Cell], features: Mapping[str, FeatureSet], stop: 
 
 
 def _connect(address: str) -> Client:
-    """Return a client of a scheduler that has workers; wait for these, and say so."""
+    """Return a client of a scheduler that has workers; wait for these, and say so.
+
+    Raises TermselError for no address, or after `PATIENCE` seconds without a worker.
+    """
     from distributed import Client
 
     wrong = TermselError(f"{address!r} is no address of a scheduler",
@@ -97,6 +100,7 @@ def _connect(address: str) -> Client:
 
 
 def _has_port(address: str) -> bool:
+    """Return whether an address states a port."""
     try:
         return urlsplit("//" + address.rpartition("://")[2]).port is not None
     except ValueError:
@@ -105,7 +109,7 @@ def _has_port(address: str) -> bool:
 
 def require_alike(required: Mapping[str, str], installed: Mapping[str, str | None],
                   worker: str) -> None:
-    """Refuse the worker at an address if its versions by name are not those of this process."""
+    """Raise TermselError unless the worker at an address has all versions that are required."""
     for name, version in required.items():
         if installed.get(name) is None:
             raise TermselError(f"the worker {worker} lacks {name}, which the study needs",
@@ -118,7 +122,8 @@ def require_alike(required: Mapping[str, str], installed: Mapping[str, str | Non
 
 @cache
 def versions_here(names: tuple[str, ...]) -> dict[str, str | None]:
-    """Return the versions of packages and plugins in this process."""
+    """Return the versions of packages and plugins in this process by name; None if not installed.
+    """
     packages: dict[str, Any] = versions()
     plugins = {plugin.distribution: plugin.version for plugin in registry().plugins}
     return {name: packages.get(name, plugins.get(name)) for name in names}
@@ -127,7 +132,10 @@ def versions_here(names: tuple[str, ...]) -> dict[str, str | None]:
 def _submit_cells(client: Client, waiting: deque[Cell], running: dict[Future, Cell],
                   features: Mapping[str, FeatureSet], stop: Stop, required: Mapping[str, str]
                   ) -> Iterator[Outcome]:
-    """Yield outcomes until all are done or the scheduler is lost; then some are still running."""
+    """Yield the outcomes of cells; if the scheduler is lost, end with some left in `running`.
+
+    Cells move from `waiting` to `running`; `stop` says whether no more are to begin.
+    """
     from distributed.scheduler import KilledWorker
 
     # Tasks of their own with their checksum as the key: they travel once to each worker that needs
@@ -167,12 +175,12 @@ def _submit_cells(client: Client, waiting: deque[Cell], running: dict[Future, Ce
 
 
 def _held(features: FeatureSet) -> FeatureSet:
-    """Return the features: a task that has them as its result."""
+    """Return the features: the task whose result stays on the workers."""
     return features
 
 
 def _run_on_worker(cell: Cell, features: FeatureSet, required: Mapping[str, str]) -> Outcome:
-    """Run a cell on a worker, which may have come after the study began."""
+    """Return the outcome of a cell, run on a worker; raises TermselError if its versions differ."""
     from distributed import get_worker
 
     require_alike(required, versions_here(tuple(required)), get_worker().address)

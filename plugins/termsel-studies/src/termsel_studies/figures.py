@@ -40,7 +40,10 @@ _BUDGETS_DRAWN = 60
 
 
 def figures_of(study: Study) -> list[Figure]:
-    """Return the charts of a study, those that its runs allow; auto alone searches nothing."""
+    """Return the charts that the runs of a study allow.
+
+    [] if it ran auto alone, which searches nothing.
+    """
     if study.spec.strategies == ("auto",):
         return []
     groups = group(study.rows, study.records, study.spec.measure)
@@ -190,7 +193,10 @@ def critical_differences(comparison: Comparison) -> Figure:
 
 
 def alike(ranks: list[float], difference: float) -> list[tuple[float, float]]:
-    """Return the longest runs of sorted ranks that differ by less than a critical difference."""
+    """Return the longest runs of sorted ranks that are not distinguished, as first and last rank.
+
+    They differ by less than the critical difference; [] if all are distinguished.
+    """
     runs: list[tuple[float, float]] = []
     # From each rank on, the farthest that cannot be distinguished from it; runs within runs are
     # left out.

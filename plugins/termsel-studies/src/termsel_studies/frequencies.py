@@ -63,7 +63,7 @@ class Stability:
         return np.asarray(self.selections.mean(axis=0))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the frequencies and what came of them, for JSON."""
+        """Return the frequencies and what came of the stable terms, as stability.json has it."""
         return {"repeats": len(self.selections), "threshold": self.threshold,
                 "frequency": dict(zip(self.terms, self.frequency.tolist(), strict=True)),
                 "n_terms": self.selections.sum(axis=1).tolist(),
@@ -197,7 +197,7 @@ def stability(
 
 
 def _observer_of_all(observe: Observer, repetition: int, repeats: int) -> Observer:
-    """Return an observer of one repetition, which shows `observe` the share of all of them."""
+    """Return an observer of one repetition, which passes to `observe` the share of all of them."""
     def told(progress: Progress) -> None:
         observe(replace(progress, share=(repetition + (progress.share or 0.0)) / repeats,
                         what=f"repetition {repetition + 1} of {repeats}"))
@@ -206,7 +206,10 @@ def _observer_of_all(observe: Observer, repetition: int, repeats: int) -> Observ
 
 
 def _with_drawn_roles(task: Task, rng: np.random.Generator) -> FeatureSet:
-    """Return the features with other points as control and check, or half of the control."""
+    """Return the features with the roles control and check drawn again among the points.
+
+    Without selection points half of the control is off; of lines alone, half of them are left out.
+    """
     features = task.observations.features
     observations = task.observations
     points = features.points
@@ -234,7 +237,10 @@ def _with_drawn_roles(task: Task, rng: np.random.Generator) -> FeatureSet:
 
 
 def _fit_terms(task: Task, is_stable: BoolArray) -> tuple[bool, dict[str, Rmse | None]]:
-    """Return whether terms are a model of control and check together, and its RMSE."""
+    """Return whether stable terms are a model of control and check together, and its RMSE by role.
+
+    The RMSE is {} if they are none: undetermined, with poles, or without a term of either axis.
+    """
     control_and_check = task.observations.together
     axis = task.model.axis
     scaling = scaling_of(control_and_check)

@@ -62,7 +62,8 @@ def front_figures(groups: Groups) -> list[FrontFigures]:
 
 
 def non_dominated(points: FloatArray) -> FloatArray:
-    """Return the points (n, objectives) that no other one dominates, each once; lower is better."""
+    """Return the points (n, objectives) that none dominates, each once and sorted; lower is better.
+    """
     points = np.unique(points, axis=0)
     # Another point is at most as large in all objectives, and smaller in one.
     better = (points[:, None] <= points[None]).all(axis=2) & (points[:, None] != points[None]

@@ -47,7 +47,7 @@ class Groups:
 
     @property
     def objectives(self) -> list[str]:
-        """Names of what the searches minimised."""
+        """Names of the objectives that the searches minimised, sorted; [] if none is recorded."""
         names = set()
         for by_method in self.instances.values():
             for runs in by_method.values():
@@ -57,7 +57,11 @@ class Groups:
 
 def group(rows: Sequence[Row], records: Mapping[str, CellRecord],
           measure: str | None = None) -> Groups:
-    """Return the runs of a study by what they are compared on."""
+    """Return the finished runs of a study by instance and method, for comparison by a measure.
+
+    By default the measure is the fitness where only solvers differ, else the RMSE at independent
+    check points. A run without a result counts as infinite.
+    """
     rows = [row for row in rows if row["state"] != WAITING]
     measure = measure or _measure(rows)
     # By fitness, solvers are compared on the same problem, data, model and criterion. By an RMSE,
@@ -91,6 +95,7 @@ def length(figures: Mapping[str, Any]) -> float:
 
 
 def _measure(rows: Sequence[Row]) -> str:
+    """Return the measure by which rows are compared if none is given: fitness or independent."""
     # Methods that differ in the solver alone minimise the same fitness, whatever model and
     # criterion each problem has.
     only_solvers = _varying(rows, METHOD, INSTANCE) == ["solver"]

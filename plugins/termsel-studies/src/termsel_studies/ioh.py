@@ -48,7 +48,8 @@ def ioh_files(groups: Groups) -> Iterator[tuple[str, str]]:
 
 
 def write(study: Study, folder: Path) -> list[Path]:
-    """Write the runs of a study below its folder; return the folder, if any run searched."""
+    """Write the runs of a study below its folder; return [folder of them], [] if nothing searched.
+    """
     if study.spec.strategies == ("auto",):
         return []
     files = dict(ioh_files(group(study.rows, study.records, study.spec.measure)))
@@ -59,14 +60,14 @@ def write(study: Study, folder: Path) -> list[Path]:
 
 
 def _data(records: list[CellRecord]) -> str:
-    """Return the improvements of all runs, each run from evaluation 1 to its last one."""
+    """Return the improvements of all runs as text, each run from evaluation 1 to its last one."""
     lines = ["evaluations raw_y"]
     for number, record in enumerate(records):
         # No two runs begin alike: iohinspector drops a row with the value of the row before it,
         # though that is of another run.
         points = {1: WORST + number, **{int(point[0]): point[1] for point in record.trace}}
         # A run ends with the number of its evaluations, though the last improved nothing.
-        points.setdefault(_evaluations(record), _best(record, number)[1])
+        points.setdefault(_evaluations(record), _best_found(record, number)[1])
         lines += [f"{evaluations} {value:.17g}" for evaluations, value in points.items()]
     return "\n".join(lines) + "\n"
 
@@ -76,8 +77,11 @@ def _evaluations(record: CellRecord) -> int:
     return int(max([1, length(record.figures), *(point[0] for point in record.trace)]))
 
 
-def _best(record: CellRecord, number: int) -> tuple[int, float]:
-    """Return the evaluation that found the best value of a run of that number, and the value."""
+def _best_found(record: CellRecord, number: int) -> tuple[int, float]:
+    """Return the evaluation that found the best value of the number-th run, and that value.
+
+    A run that found none has a value worse than any.
+    """
     if not record.trace:
         return _evaluations(record), WORST + number
     evaluation, value, _seconds = record.trace[-1]
@@ -89,7 +93,7 @@ def _description(number: int, instance: str, method: str, dimension: int,
     """Return the description of one method on one instance, as IOHanalyzer reads it."""
     described = []
     for number, record in enumerate(records):
-        evaluation, value = _best(record, number)
+        evaluation, value = _best_found(record, number)
         described.append({"instance": 1, "evals": _evaluations(record),
                           "best": {"evals": evaluation, "y": value, "x": []}})
     return {
@@ -101,7 +105,7 @@ def _description(number: int, instance: str, method: str, dimension: int,
 
 
 def _folders(methods: Iterable[str]) -> dict[str, str]:
-    """Return a folder of its own for each method, capitals ignored as some file systems do."""
+    """Return a folder name of its own for each method, different without regard to capitals."""
     folders: dict[str, str] = {}
     used_names: set[str] = set()
     for method in methods:

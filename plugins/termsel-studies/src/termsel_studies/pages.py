@@ -29,7 +29,10 @@ from termsel_studies.summaries import Summary, summaries
 
 
 def remarks_of(study: Study) -> list[str]:
-    """Return what is said of the images together: which stand out, and the notes of most."""
+    """Return sentences on the images together.
+
+    Which stand out, and the notes that most of them have.
+    """
     return [*study.remarks, *usual_notes_in_words(study.rows)]
 
 
@@ -75,13 +78,13 @@ def tables_of(study: Study, *, brief: bool = False) -> tuple[list[TableBlock], l
               f"{pair.corrected:.2g}") for pair in comparison.pairs]))
     # What failed is named with its reason: it counts as worst above.
     tables.append(TableBlock("Runs without a result", ("run", "state", "reason"), [
-        (_name_of_page(row), row["state"], row["reason"]) for row in rows
+        (_row_in_words(row), row["state"], row["reason"]) for row in rows
         if row["state"] in ("failed", "infeasible")]))
     return [table for table in tables if table.rows], claims(groups, comparison, rows)
 
 
 def _images(rows: list[Row]) -> TableBlock:
-    """Return one row an image, in the order of the study's rows; see `remarks_of` for the rest."""
+    """Return a table with a row for each image; columns that are empty for all are left out."""
     usual = usual_notes(rows)
     header = ("image", "verdict", "reason", "model", "RMSE [px]", "RMSE [m]", "ICP RMSE [px]",
               "blunders", "without height", "place", "notes")
@@ -152,7 +155,8 @@ def _title(name: str, optimum: float | None) -> str:
     return name if optimum is None else f"{name}: proven optimum {optimum:.4f}"
 
 
-def _name_of_page(row: Row) -> str:
+def _row_in_words(row: Row) -> str:
+    """Return the name of a row: problem, data, model, solver and seed, as far as it has them."""
     return ", ".join(str(row[name]) for name in ("problem", "data", "model", "solver", "seed")
                      if row[name] not in ("", None))
 
@@ -182,7 +186,7 @@ def markdown(study: Study) -> str:
 def section(table: TableBlock, depth: int = 2) -> str:
     """Return a table with its heading as Markdown."""
     # Numbers to the right, all else to the left; the first column is names.
-    marks = ["---", *("---:" if _numeric(table, i) else "---"
+    marks = ["---", *("---:" if _is_numeric(table, i) else "---"
                       for i in range(1, len(table.columns)))]
     lines = ["| " + " | ".join(map(markdown_text, row)) + " |"
              for row in (table.columns, *table.rows)]
@@ -190,7 +194,8 @@ def section(table: TableBlock, depth: int = 2) -> str:
                       f"|{'|'.join(marks)}|", *lines[1:], ""])
 
 
-def _numeric(table: TableBlock, column: int) -> bool:
+def _is_numeric(table: TableBlock, column: int) -> bool:
+    """Return whether all filled cells of a column are numbers."""
     cells = [row[column] for row in table.rows if row[column]]
     return all(cell[0].isdigit() or cell[0] in "-∞" for cell in cells)
 
@@ -204,7 +209,7 @@ def latex(study: Study) -> str:
     """Return all tables of a study as LaTeX, for the package booktabs."""
     environments = []
     for table in tables_of(study)[0]:
-        columns = "".join("r" if i and _numeric(table, i) else "l"
+        columns = "".join("r" if i and _is_numeric(table, i) else "l"
                           for i in range(len(table.columns)))
         lines = [" & ".join(map(_tex, row)) + r" \\" for row in (table.columns, *table.rows)]
         environments.append("\n".join([
@@ -215,6 +220,7 @@ def latex(study: Study) -> str:
 
 
 def _tex(text: Any) -> str:
+    """Return a text for LaTeX: commands escaped, white space as one blank."""
     words = printable(" ".join(str(text).split()))
     # Signs that LaTeX takes for commands; all white space is one blank.
     return "".join(_LATEX.get(sign, sign) for sign in words)

@@ -38,13 +38,16 @@ def report(study: Study, charts: list[Figure] | None = None) -> str:
 
 
 def summary(study: Study) -> str:
-    """Return valid claims on a study, and its main figures, as text."""
+    """Return what may be claimed of a study, and its main figures, as text."""
     return text_of(_document(study, [], {}, brief=True))
 
 
 def _document(study: Study, charts: list[Figure], pictures: dict[str, str], *,
               brief: bool = False) -> Document:
-    """Return what is shown of a study; `pictures` are drawings of images by the key of the cell."""
+    """Return the page of a study; `pictures` are drawings of images by the key of their cell.
+
+    If brief, its tables are short, and it has the reasons of images.
+    """
     tables, sentences = tables_of(study, brief=brief)
     images = []
     for table in tables:
@@ -69,7 +72,10 @@ def _document(study: Study, charts: list[Figure], pictures: dict[str, str], *,
 
 
 def thumbnails(study: Study) -> dict[str, str]:
-    """Return small drawings of each image's residuals by the key of the cell: SVG, or why not."""
+    """Return small drawings (SVG) of the residuals of finished images, by the key of their cell.
+
+    In place of a drawing that cannot be made is why, as text; {} without a folder.
+    """
     if study.folder is None:
         return {}
     drawings = {}

@@ -102,7 +102,10 @@ def compare_methods(methods: Sequence[str], values: FloatArray) -> Comparison | 
 
 
 def signed_rank(first: FloatArray, second: FloatArray) -> tuple[float, bool]:
-    """Return the two-sided p of Wilcoxon's test of values (n,), and whether the one is lower."""
+    """Return the two-sided p of Wilcoxon's test of pairs (n,), and whether `first` is lower.
+
+    A method without a result is infinite, and worse than any; p is 1 if no pair differs.
+    """
     from scipy.stats import rankdata, wilcoxon
 
     # Differences of a method without a result count as larger than all others; two of them as none.
@@ -120,7 +123,8 @@ def signed_rank(first: FloatArray, second: FloatArray) -> tuple[float, bool]:
 
 
 def holm(p_values: Sequence[float]) -> list[float]:
-    """Return p-values corrected for their number (Holm 1979, Scand. J. Stat. 6(2))."""
+    """Return p-values corrected for their number, in their order (Holm 1979, Scand. J. Stat. 6(2)).
+    """
     order = np.argsort(p_values, kind="stable")
     # Holm: the smallest p times n, the next times n - 1, ..., never falling again.
     scaled = np.asarray(p_values)[order] * np.arange(len(p_values), 0, -1)

@@ -58,7 +58,10 @@ def small_map(view: View) -> str:
 
 
 def _arrow(x: float, y: float, row: dict[str, Any], longer: float) -> str:
-    """Return a line with a head; it need not be longer than twice the drawing, which clips it."""
+    """Return the path of an arrow from x, y, which shows a residual `longer` times.
+
+    Clipped if huge.
+    """
     longer = min(longer, 2.0 * WIDE / max(row["distance"], 1e-300))
     dx = row["ds"] * longer
     dy = row["dl"] * longer
@@ -69,7 +72,7 @@ def _arrow(x: float, y: float, row: dict[str, Any], longer: float) -> str:
 
 
 def _bar(high: float, longer: float, wide: float) -> str:
-    """Return the bar that says how long a residual is drawn."""
+    """Return the scale bar of the residuals as SVG; "" if they are not drawn."""
     if not longer:
         return ""
     length = nice(0.4 * wide / longer)

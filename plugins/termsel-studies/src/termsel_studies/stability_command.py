@@ -81,7 +81,7 @@ def stability(repeats: int, threshold: float, **arguments: Any) -> None:
     if repeated.determined and unstable and not run_settings.as_json:
         echo("For a result with the stable terms run\n  " + run_settings.command(
             problem, _SOLVER, _CRITERION,
-            _for_stable(problem, run_settings, run_settings.options, unstable)))
+            _options_of_fit(problem, run_settings, run_settings.options, unstable)))
     if run_settings.out is not None and not repeated.determined:
         write_text(run_settings.out / STABILITY, json_text(repeated.to_dict()))
         say_written([run_settings.out / STABILITY])
@@ -89,7 +89,7 @@ def stability(repeats: int, threshold: float, **arguments: Any) -> None:
         raise TermselError("the stable terms alone are no model, so nothing is exported",
                            hint="Lower --threshold.")
     if run_settings.out is not None and repeated.determined:
-        settings = _for_stable(problem, run_settings, options, unstable)
+        settings = _options_of_fit(problem, run_settings, options, unstable)
         _write(repeated, (exported, page), problem, run_settings, features, settings)
     if repeated.interrupted:
         echo(f"Interrupted after {len(repeated.selections)} of {repeats} selections.", err=True)
@@ -114,9 +114,9 @@ def _show(repeated: Stability) -> None:
              f"{independent.n} independent check points.")
 
 
-def _for_stable(problem: str, run_settings: RunOptions, options: Mapping[str, str],
-                off: Sequence[str]) -> dict[str, str]:
-    """Return the options of a fit without some terms: not those of the searches alone."""
+def _options_of_fit(problem: str, run_settings: RunOptions, options: Mapping[str, str],
+                    off: Sequence[str]) -> dict[str, str]:
+    """Return the options of a fit without the terms `off`; those of searches alone are left out."""
     from termsel.toolkit import registry
     from termsel.toolkit.runs import DATA_OPTIONS
 

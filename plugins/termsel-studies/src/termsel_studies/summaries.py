@@ -52,7 +52,10 @@ def summaries(groups: Groups) -> list[Summary]:
 
 
 def optimum_of(runs: Any, measure: str) -> float | None:
-    """Return the proven optimum of an instance, if one of its runs knows it."""
+    """Return the proven optimum of an instance.
+
+    None if no run knows it or the measure is no fitness.
+    """
     rows = chain.from_iterable(run.rows for run in runs)
     optima = [row["optimum"] for row in rows if row.get("optimum") is not None]
     return min(optima) if optima and measure == "fitness" else None
@@ -81,17 +84,18 @@ def _summary(instance: str, method: str, runs: Runs, optimum: float | None) -> S
 
 
 def reachable(optimum: float) -> float:
-    """Return the value from which on down an optimum counts as reached: rounding differs."""
+    """Return the largest value at which an optimum counts as reached, as rounding differs."""
     return optimum + TIE * abs(optimum)
 
 
 def _median(rows: Sequence[Mapping[str, Any]], name: str) -> float | None:
+    """Return the median of a figure of rows; None if no row has it."""
     values = [row[name] for row in rows if row.get(name) is not None]
     return float(np.median(values)) if values else None
 
 
 def quantiles(values: Sequence[float], shares: Sequence[float]) -> list[float]:
-    """Return quantiles of values among which some may be infinite."""
+    """Return the quantiles at shares (0 to 1) of values, some of which may be infinite."""
     finite = np.minimum(np.asarray(values, dtype=float), _HUGE)
     # Interpolated between a value and infinity, which here is large but finite.
     return [math.inf if value > _HUGE * 1e-6 else float(value)
@@ -99,7 +103,7 @@ def quantiles(values: Sequence[float], shares: Sequence[float]) -> list[float]:
 
 
 def wilson(successes: int, runs: int, level: float = 0.95) -> tuple[float, float]:
-    """Return the interval of a share of successes, without correction for continuity."""
+    """Return the confidence interval of the share of successes (Wilson 1927), 0 to 1."""
     from scipy.stats import binomtest
 
     # Wilson 1927, J. Am. Stat. Assoc. 22(158).
@@ -126,14 +130,17 @@ def expected_running_time(hits: Sequence[float], lengths: Sequence[float]) -> fl
 
 
 def ecdf(hits: Sequence[float]) -> tuple[list[float], list[float]]:
-    """Return budgets, and which share of the moments, as of `hit`, is reached within each."""
+    """Return the finite moments of `hits`, sorted, and the share of all that is reached by each."""
     steps = {moment: (i + 1) / len(hits)
              for i, moment in enumerate(sorted(filter(math.isfinite, hits)))}
     return list(steps), list(steps.values())
 
 
 def targets_of(optimum: float | None, runs: Iterable[Runs], number: int = 21) -> list[float]:
-    """Return targets for an ECDF: above the optimum by 100 % to 0.01 %, evenly in the logarithm."""
+    """Return targets for an ECDF: 100 % to 0.01 % above the optimum, evenly in the logarithm.
+
+    Without an optimum the best value of all runs stands for it; [] if there is none either.
+    """
     # Runtimes over many targets are of Hansen, Auger, Ros, Mersmann, Tušar and Brockhoff 2021,
     # COCO, Optim. Methods Softw. 36(1), section 5; these targets are termsel's own. Where the
     # optimum is not known, the best value of all runs stands for it.
@@ -152,7 +159,7 @@ def _best_within(trace: Sequence[Sequence[float]], budget: float) -> float:
 
 def bands(traces: Sequence[Sequence[Sequence[float]]], budgets: Sequence[float]
           ) -> list[tuple[float, float, float, float]]:
-    """Return budgets [evaluations] with the quartiles of the best value of the runs within each."""
+    """Return each budget [evaluations] with the quartiles of the runs' best values within it."""
     rows = []
     for budget in budgets:
         values = [_best_within(trace, budget) for trace in traces]

@@ -55,7 +55,7 @@ class Method:
 
     @property
     def title(self) -> str:
-        """What tables call it."""
+        """Name of the method in tables, with its problem and options."""
         suffixes = [*filter(None, [self.problem]),
                     *(f"{name}={value}" for name, value in self.options.items())]
         label = "auto" if self.kind == "auto" else self.name if self.kind == "peer" else \
@@ -63,7 +63,7 @@ class Method:
         return " ".join([label, *suffixes])
 
     def require(self) -> None:
-        """Raise TermselError for a name that is not known, or refused options."""
+        """Raise TermselError if the method's name is not known, or its options are refused."""
         if self.kind not in METHOD_KINDS:
             raise unknown_name("kind of method", self.kind, METHOD_KINDS)
         if self.kind in ("solver", "model"):
@@ -164,7 +164,10 @@ def function_of(name: str) -> Callable[[FeatureSet], Any]:
 
 
 def _projection(returned: Any, name: str) -> Projection:
-    """Return the projection that a function of a package gave back."""
+    """Return the projection in what a package's function returned: itself, or its method `project`.
+
+    Raises TermselError if neither can be called.
+    """
     # An object with a method `project`, or the function itself.
     project = getattr(returned, "project", returned)
     if not callable(project):

@@ -32,7 +32,10 @@ def gdal_spline(features: FeatureSet, seed: int) -> Projection:  # noqa: ARG001
 
 
 def _gdal(features: FeatureSet, *, spline: bool) -> Projection:
-    """Return the projection of GDAL's transformation by GCPs."""
+    """Return the projection of GDAL's transformation by GCPs, a spline or else a polynomial.
+
+    Raises TermselError if rasterio is not installed; the projection, if GDAL fits nothing.
+    """
     with requires("GDAL requires", "rasterio", "rasterio"):
         from rasterio.control import GroundControlPoint
         from rasterio.errors import TransformError
@@ -58,7 +61,12 @@ def _gdal(features: FeatureSet, *, spline: bool) -> Projection:
 
 
 def orthority(features: FeatureSet, seed: int) -> Projection:  # noqa: ARG001
-    """Return a vendor's RPC with Orthority's refinement by shift and drift, or shift."""
+    """Return a vendor's RPC with Orthority's refinement.
+
+    Shift and drift, of one or two points shift.
+
+    Raises TermselError without an RPC, or if Orthority is not installed.
+    """
     rpc = features.rpc
     if rpc is None:
         raise TermselError("Orthority refines an RPC, and the set has none")
@@ -86,7 +94,10 @@ def orthority(features: FeatureSet, seed: int) -> Projection:  # noqa: ARG001
 
 
 def opencv(features: FeatureSet, seed: int) -> Projection:  # noqa: ARG001
-    """Return OpenCV's pose of a camera of the stated focal length: SQPNP, then least squares."""
+    """Return OpenCV's pose of a camera of the stated focal length: SQPNP, then least squares.
+
+    Raises TermselError without a focal length or four points, or if OpenCV is not installed.
+    """
     stated = features.points.attributes.get("camera_focal")
     if stated is None or features.image_size is None:
         raise TermselError("OpenCV's pose requires a focal length, and the set states none")
@@ -156,7 +167,7 @@ def _sklearn() -> Any:
 
 
 def _fit_peer(model: Any, features: FeatureSet, positions: FloatArray) -> Projection:
-    """Return the projection of an estimator of scikit-learn."""
+    """Return the projection of an estimator of scikit-learn, fitted to positions (n, 2 or 3)."""
     try:
         model.fit(positions, features.points.image)
     except ValueError as error:
@@ -166,11 +177,13 @@ def _fit_peer(model: Any, features: FeatureSet, positions: FloatArray) -> Projec
 
 
 def _places(features: FeatureSet) -> FloatArray:
+    """Return ground coordinates (n, 3) of points; (n, 2) if any height is unknown."""
     ground = features.points.ground
     # Without heights the plane is all there is.
     return ground[:, :2] if np.isnan(ground).any() else ground
 
 
 def _require(is_enough: bool, method_name: str, count: int) -> None:
+    """Raise TermselError with the name of a method unless it has enough points."""
     if not is_enough:
         raise TermselError(f"{method_name} requires more than {count} points")

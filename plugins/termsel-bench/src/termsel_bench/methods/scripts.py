@@ -51,11 +51,11 @@ class Cubic:
 
     @property
     def size(self) -> int:
-        """Number of genes."""
+        """Number of genes: a bit for each term of either axis."""
         return 2 * len(self.powers)
 
     def columns(self, ground: FloatArray) -> FloatArray:
-        """Return the terms at places."""
+        """Return the monomials (n, terms) at ground places (n, 3)."""
         at = (ground[:, :self.width] - self.middle) / self.scale
         return np.asarray(np.prod(at[:, None] ** self.powers, axis=2))
 
@@ -68,7 +68,10 @@ class Cubic:
         return coefficients
 
     def fitness(self, genes: BoolArray) -> float:
-        """Return the check RMSE [px]; many where there are more terms than control points."""
+        """Return the RMSE [px] at the check points.
+
+        `UNDETERMINED` for as many terms as control points.
+        """
         # A fit with as many terms as points is exact, and its fitness means nothing.
         if (genes.reshape(2, -1).sum(axis=1) >= len(self.image)).any():
             return UNDETERMINED
@@ -76,7 +79,10 @@ class Cubic:
         return float(np.sqrt((errors**2).sum(axis=1).mean()))
 
     def projection(self, genes: BoolArray) -> Projection:
-        """Return what the terms that are on project; refuse more terms than control points."""
+        """Return the projection by the terms that are on.
+
+        Raises TermselError if they are undetermined.
+        """
         if self.fitness(genes) == UNDETERMINED:
             raise TermselError(f"the search found no selection of fewer terms than its "
                                f"{len(self.image)} control points")
@@ -85,7 +91,7 @@ class Cubic:
 
 
 def by_deap(features: FeatureSet, seed: int) -> Projection:
-    """Return what `deap.algorithms.eaSimple` finds."""
+    """Return the projection of the terms that `deap.algorithms.eaSimple` selects."""
     from deap import algorithms, base, tools
 
     problem = Cubic(features)
@@ -120,7 +126,7 @@ def by_deap(features: FeatureSet, seed: int) -> Projection:
 
 
 def by_pymoo(features: FeatureSet, seed: int) -> Projection:
-    """Return what pymoo's GA with binary operators finds."""
+    """Return the projection of the terms that pymoo's GA with binary operators selects."""
     with requires("the peer requires", "pymoo", "pymoo"):
         from pymoo.algorithms.soo.nonconvex.ga import GA
         from pymoo.core.problem import ElementwiseProblem

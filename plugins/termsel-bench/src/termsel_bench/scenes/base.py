@@ -46,7 +46,10 @@ class BenchSet:
     source: str = ""
 
     def files(self) -> dict[str, str]:
-        """Return texts by name of file: points with roles, lines, and the RPC."""
+        """Return the texts of the set's files by name.
+
+        Points with roles, lines and RPC if there are any.
+        """
         named = {f"{self.name}.csv": _text(
             self.features.crs, "id,role,line,sample,x,y,z",
             [*_scene_rows(self.features.points, self),
@@ -109,7 +112,7 @@ def rounded(bench_set: BenchSet) -> BenchSet:
 
 
 def _rounded_rpc(rpc: Rpc) -> Rpc:
-    """Return an RPC with as many digits as a file has."""
+    """Return an RPC with the digits that its file has."""
     def of(numbers: tuple[float, ...]) -> tuple[float, ...]:
         return tuple(float(round(number, COEFFICIENTS)) for number in numbers)
 
@@ -124,16 +127,20 @@ def _text(crs: str, header: str, rows: list[tuple[str, ...]]) -> str:
 
 
 def _scene_rows(points: Points, bench_set: BenchSet, role: str = "") -> Iterator[tuple[str, ...]]:
+    """Yield the cells of each point; `role`, if given, is that of all."""
     for name, own_role, image, ground in zip(points.ids, points.roles, points.image, points.ground,
                                              strict=True):
         yield (name, role or own_role, *_numbers(image, PIXELS), *_place(ground, bench_set))
 
 
 def _place(ground: FloatArray, bench_set: BenchSet) -> tuple[str, ...]:
+    """Return the coordinates of a place as text: degrees or metres, and "" for an unknown height.
+    """
     return (*_numbers(ground[:2], DEGREES if bench_set.geographic else METRES),
             *("" if np.isnan(z) else f"{z:.{METRES}f}" for z in ground[2:]))
 
 
 def _numbers(values: FloatArray, decimals: int) -> tuple[str, ...]:
+    """Return numbers with so many decimals as text, zero without a sign."""
     # Adding 0 removes the sign of a negative zero.
     return tuple(f"{value + 0.0:.{decimals}f}" for value in values)

@@ -74,10 +74,10 @@ class Turning(Pushbroom):
         """Return exposure stations and rotations (see `Pushbroom.exposure`)."""
         time = np.asarray(time, dtype=np.float64)
         station = super().exposure(time)[0]
-        return station, self._looking(station, time)
+        return station, self._rotations_of_view(station, time)
 
-    def _looking(self, station: FloatArray, time: FloatArray) -> FloatArray:
-        """Return the axes of the camera (n, 3, 3) at stations and times."""
+    def _rotations_of_view(self, station: FloatArray, time: FloatArray) -> FloatArray:
+        """Return the rotations (n, 3, 3) of the camera at stations (n, 3) and times (n,)."""
         aim = np.array(self.aim)
         course = np.array(self.course)
         # The angle at the Earth's centre by which the view has moved on.
@@ -88,7 +88,7 @@ class Turning(Pushbroom):
         z = _unit(target - station)
         ahead = np.cos(way) * course - np.sin(way) * up
         x = _unit(ahead - z * (ahead * z).sum(axis=1, keepdims=True))
-        return np.stack([x, np.cross(z, x), z], axis=2) @ _small(
+        return np.stack([x, np.cross(z, x), z], axis=2) @ _rotations(
             self.roll(time), self.pitch(time), self.yaw(time))
 
 
@@ -110,7 +110,7 @@ class Flying(Turning):
         station = aim + up * self.altitude + course * (self.speed * time)[:, None] \
             + off @ np.stack([course, np.cross(up, course), up])
         axes = np.stack([course, np.cross(-up, course), -up], axis=1)
-        return station, axes @ _small(self.roll(time), self.pitch(time), self.yaw(time))
+        return station, axes @ _rotations(self.roll(time), self.pitch(time), self.yaw(time))
 
 
 def image_of(kind: str, seed: int, ranges: Ranges, count: int,
@@ -133,7 +133,11 @@ def image_of(kind: str, seed: int, ranges: Ranges, count: int,
 
 def _image_of(kind: str, rng: Generator, ranges: Ranges, count: int,
               measured: int | None, level: float) -> FeatureSet:
-    """Return points of one image of a random camera, over random ground."""
+    """Return points of one image of a random camera, over random ground.
+
+    The first `measured` of `count` have noise, all if it is None. `level`, -1 for none, is the
+    relative height of a plain below the hills. Raises TermselError if too few points are in view.
+    """
     lines, samples = (int(n) for n in rng.integers(*ranges.size, 2))
     lon = rng.uniform(-170, 170)
     lat = rng.uniform(*ranges.latitude)
@@ -192,8 +196,8 @@ def _scanner(kind: str, rng: Generator, ranges: Ranges, size: tuple[int, int], p
     if kind in ("steady", "cubesat"):
         # What attitude moves the image by at its end [px].
         large = (2.0, 1.0, 0.3) if kind == "steady" else (40.0, 12.0, 4.0)
-        angles = [_shaken(rng, sensor.ifov, half, large, (half / 2, 0.15 if kind == "steady"
-                                                          else 1.0), lever)
+        angles = [_jittering(rng, sensor.ifov, half, large, (half / 2, 0.15 if kind == "steady"
+                                                             else 1.0), lever)
                   for lever in (1.0, 1.0, 2.0 / size[1])]
         return _sensor_with_angles(sensor, angles)
     course = rng.uniform(0.0, 2 * np.pi) if kind == "airborne" or rng.random() < 0.6 else np.pi
@@ -210,15 +214,15 @@ def _scanner(kind: str, rng: Generator, ranges: Ranges, size: tuple[int, int], p
         "course": tuple(ahead), "speed": speed, "refraction": False}
     if kind == "airborne":
         above = size[1] * pixel / 2 / np.tan(rng.uniform(0.25, 0.5))
-        sway = tuple(_shaken(rng, 1.0, half, (0.0, 3.0, 1.0), (6.0, 1.0), 1.0) for _ in range(3))
-        angles = [_shaken(rng, pixel / above, half, (20.0, 10.0, 5.0), (5.0, 4.0), lever)
+        sway = tuple(_jittering(rng, 1.0, half, (0.0, 3.0, 1.0), (6.0, 1.0), 1.0) for _ in range(3))
+        angles = [_jittering(rng, pixel / above, half, (20.0, 10.0, 5.0), (5.0, 4.0), lever)
                   for lever in (1.0, 1.0, 2.0 / size[1])]
         return Flying(altitude=above, ifov=pixel / above, roll=angles[0], pitch=angles[1],
                       yaw=angles[2], sway=sway, **common)
     station = sensor.exposure(np.zeros(1))[0][0]
     ray = station - middle
     distance = float(np.linalg.norm(ray))
-    angles = [_shaken(rng, pixel / distance, half, (2.0, 1.0, 0.3), (half / 2, 0.15), lever)
+    angles = [_jittering(rng, pixel / distance, half, (2.0, 1.0, 0.3), (half / 2, 0.15), lever)
               for lever in (1.0, 1.0, 2.0 / size[1])]
     return Turning(altitude=altitude, ifov=pixel / distance, roll=angles[0], pitch=angles[1],
                    yaw=angles[2], **common)
@@ -251,13 +255,16 @@ def _radar(rng: Generator, ranges: Ranges, size: tuple[int, int], pixel: float,
 
 def _photo(kind: str, rng: Generator, size: tuple[int, int], pixel: float,
            local: FloatArray) -> FloatArray:
-    """Return where a frame or a panoramic camera sees places; film and scan deform a little."""
+    """Return where a frame or panoramic camera sees places (n, 3) [m]: line and sample (n, 2).
+
+    Film and scan deform a little.
+    """
     extent = pixel * max(size)
     above = extent / (2 * np.tan(rng.uniform(0.2, 0.7)))
     # The focal length in px, for the pixel that the middle of the image has.
     focal = above / pixel
     roll, pitch = rng.normal(0.0, 0.03, (2, 1))
-    turned = _small(roll, pitch, np.array([rng.uniform(-np.pi, np.pi)]))[0]
+    turned = _rotations(roll, pitch, np.array([rng.uniform(-np.pi, np.pi)]))[0]
     x, y, z = ((local - [0.0, 0.0, above]) @ turned).T
     if kind == "frame":
         ideal = focal * np.column_stack([y / z, -x / z])
@@ -273,16 +280,20 @@ def _photo(kind: str, rng: Generator, size: tuple[int, int], pixel: float,
     return np.asarray(ideal + np.array(size) / 2 + rng.normal(0.0, 20.0, 2))
 
 
-def _shaken(rng: Generator, unit: float, half: float, drift: tuple[float, ...],
-            jitter: tuple[float, float], lever: float) -> Angle:
-    """Return drift, by powers of time at the end of a scene, and one sine of a period [s]."""
+def _jittering(rng: Generator, unit: float, half: float, drift: tuple[float, ...],
+               jitter: tuple[float, float], lever: float) -> Angle:
+    """Return an angle with drift, by powers of time at the scene's end, and one sine.
+
+    `unit` is the angle of 1 px, `half` half the duration [s], `jitter` the sine's period [s] and
+    size.
+    """
     return Angle((0.0, *(unit * lever * rng.normal(0.0, size) / half ** (i + 1)
                          for i, size in enumerate(drift))),
                  ((unit * lever * jitter[1], 1.0 / jitter[0], rng.uniform(0, 2 * np.pi)),))
 
 
 def _sensor_with_angles(sensor: Pushbroom, angles: list[Angle]) -> Pushbroom:
-    """Return a sensor to whose attitude further angles are added."""
+    """Return a sensor with `angles` (roll, pitch, yaw) added to its attitude."""
     def joined(before: Angle, added: Angle) -> Angle:
         drift = np.zeros(max(len(before.drift), len(added.drift)))
         drift[:len(before.drift)] += before.drift
@@ -294,7 +305,7 @@ def _sensor_with_angles(sensor: Pushbroom, angles: list[Angle]) -> Pushbroom:
 
 
 def _heights(rng: Generator, plan: FloatArray, waves: int) -> FloatArray:
-    """Return smooth heights between about -1 and 1."""
+    """Return smooth heights (n,) between -1 and 1 at relative places (n, 2), of so many waves."""
     total = np.zeros(len(plan))
     for _ in range(waves):
         wave_vector = rng.normal(0.0, 4.0, 2)
@@ -302,8 +313,8 @@ def _heights(rng: Generator, plan: FloatArray, waves: int) -> FloatArray:
     return np.asarray(total / np.abs(total).max())
 
 
-def _small(roll: FloatArray, pitch: FloatArray, yaw: FloatArray) -> FloatArray:
-    """Return rotations about three axes, (n, 3, 3)."""
+def _rotations(roll: FloatArray, pitch: FloatArray, yaw: FloatArray) -> FloatArray:
+    """Return rotations (n, 3, 3) by roll, pitch and yaw [rad], about x, then y, then z."""
     (sr, cr), (sp, cp), (sy, cy) = ((np.sin(a), np.cos(a)) for a in (roll, pitch, yaw))
     none = np.zeros_like(sr)
     ones = np.ones_like(sr)
@@ -318,7 +329,8 @@ def _small(roll: FloatArray, pitch: FloatArray, yaw: FloatArray) -> FloatArray:
 
 
 def _axes_at(lon: float, lat: float) -> FloatArray:
-    """Return rows east, north and up at the height 0, (3, 3)."""
+    """Return east, north and up at a longitude and latitude [deg], as rows of (3, 3), Earth-fixed.
+    """
     middle = to_ecef(np.array([[lon, lat, 0.0]]))[0]
     up = vertical(np.array([[lon, lat, 0.0]]))[0]
     east = _unit(np.array([-middle[1], middle[0], 0.0]))

@@ -42,9 +42,10 @@ class SetSettings:
     settings: Mapping[str, Any]
 
 
-def _some_scenes(kind: str, counts: tuple[int, ...],
-                 **settings: tuple[Any, ...]) -> tuple[SetSettings,
-                                                                                           ...]:
+def _sets_of(kind: str, counts: tuple[int, ...],
+             **settings: tuple[Any, ...]) -> tuple[SetSettings,
+                                                                                       ...]:
+    """Return the settings of sets of a kind, one for each count, with the values of that number."""
     sets = []
     for i, count in enumerate(counts):
         of_set = {name: values[i] for name, values in settings.items()}
@@ -53,18 +54,18 @@ def _some_scenes(kind: str, counts: tuple[int, ...],
 
 
 _ALL_SETS = (
-    *_some_scenes("steady", (10, 14, 20, 30, 44, 64)),
-    *_some_scenes("agile", (12, 18, 26, 40, 60)),
-    *_some_scenes("frame", (10, 16, 28, 50)),
-    *_some_scenes("panoramic", (14, 22, 36, 60)),
-    *_some_scenes("radar", (10, 18, 32, 56)),
-    *_some_scenes("old-map", (16, 24, 40, 60, 90), local=(5.0, 0.0, 15.0, 5.0, 0.0),
-                  joints=(6.0, 10.0, 0.0, 6.0, 0.0), sheets=((2, 2), (2, 3), (1, 1), (2, 2),
-                                                             (1, 1))),
-    *_some_scenes("vendor-rpc", (2, 4, 8, 16), error=("shift", "drift", "affine", "shift")),
-    *_some_scenes("matches", (40, 60, 80, 100), wrong=(0.1, 0.2, 0.3, 0.4)),
-    *_some_scenes("lines", (6, 6, 8, 8), scene=("ikonos-hamedan", "geoeye-tehran", "spot-isfahan",
-                                                "cartosat-hyderabad"),
+    *_sets_of("steady", (10, 14, 20, 30, 44, 64)),
+    *_sets_of("agile", (12, 18, 26, 40, 60)),
+    *_sets_of("frame", (10, 16, 28, 50)),
+    *_sets_of("panoramic", (14, 22, 36, 60)),
+    *_sets_of("radar", (10, 18, 32, 56)),
+    *_sets_of("old-map", (16, 24, 40, 60, 90), local=(5.0, 0.0, 15.0, 5.0, 0.0),
+              joints=(6.0, 10.0, 0.0, 6.0, 0.0), sheets=((2, 2), (2, 3), (1, 1), (2, 2),
+                                                         (1, 1))),
+    *_sets_of("vendor-rpc", (2, 4, 8, 16), error=("shift", "drift", "affine", "shift")),
+    *_sets_of("matches", (40, 60, 80, 100), wrong=(0.1, 0.2, 0.3, 0.4)),
+    *_sets_of("lines", (6, 6, 8, 8), scene=("ikonos-hamedan", "geoeye-tehran", "spot-isfahan",
+                                            "cartosat-hyderabad"),
                   n_lines=(24, 40, 60, 100), wrong_lines=(0, 3, 0, 10)),
 )
 SETS: Mapping[str, SetSettings] = {bench_set.name: bench_set for bench_set in _ALL_SETS}
@@ -120,7 +121,7 @@ which lie where rounding changes, have another last decimal. Other noise changes
 
 
 def _differs_by_rounding(bench_set: BenchSet, file: str) -> bool:
-    """Return whether a file is the frozen one but for last decimals of few numbers."""
+    """Return whether a file differs from the frozen one only by rounding, by its columns' means."""
     frozen = json.loads(files("termsel_bench").joinpath(MEANS).read_text("utf-8"))
     means, units = means_of(bench_set.files()[file])
     return len(frozen.get(file, ())) == len(means) and bool(np.all(
@@ -134,7 +135,7 @@ def checksums() -> dict[str, str]:
 
 
 def made(name: str) -> BenchSet:
-    """Return a set as it is simulated here, whether it is the frozen one or not."""
+    """Return a set as it is simulated here, even if it is not the frozen one."""
     settings = SETS[name]
     features, independent = _MAKERS.get(settings.kind, _camera)(settings)
     # Control and selection points by turns, so that both are all over the image.
@@ -149,12 +150,14 @@ def made(name: str) -> BenchSet:
 
 
 def _split(scene: FeatureSet, count: int) -> tuple[FeatureSet, Points]:
+    """Return a scene with its first `count` points, and the `INDEPENDENT` points after them."""
     order = np.arange(len(scene.points))
     return (scene.with_(points=scene.points.take(order < count)),
             scene.points.take((order >= count) & (order < count + INDEPENDENT)))
 
 
 def _camera(settings: SetSettings) -> tuple[FeatureSet, Points]:
+    """Return control of a simulated camera, and independent points."""
     return _split(image_of(settings.kind, settings.seed, FRESH, settings.count + INDEPENDENT,
                            settings.count),
                   settings.count)
@@ -187,7 +190,7 @@ def _lines(settings: SetSettings) -> tuple[FeatureSet, Points]:
 
 
 def _matches(settings: SetSettings) -> tuple[FeatureSet, Points]:
-    """Return matched points, some of them wrong, and independent points."""
+    """Return points with a share of mismatches, 5 to 60 px off, and independent points."""
     scene = image_of("steady", settings.seed + 100, FRESH, settings.count + INDEPENDENT,
                      settings.count)
     features, independent = _split(scene, settings.count)
@@ -195,11 +198,11 @@ def _matches(settings: SetSettings) -> tuple[FeatureSet, Points]:
     # Blunders lie in any direction, 5 to 60 px off.
     wrong = rng.permutation(settings.count)[:round(settings.settings["wrong"] * settings.count)]
     image = features.points.image.copy()
-    image[wrong] += _anywhere(rng, len(wrong)) * rng.uniform(_NEAREST, _FARTHEST, (len(wrong), 1))
+    image[wrong] += _directions(rng, len(wrong)) * rng.uniform(_NEAREST, _FARTHEST, (len(wrong), 1))
     return features.with_(points=replace(features.points, image=image)), independent
 
 
-def _vendor(settings: SetSettings) -> tuple[FeatureSet, Points]:
+def _with_vendor_rpc(settings: SetSettings) -> tuple[FeatureSet, Points]:
     """Return control of an image whose vendor's RPC is off, and independent points."""
     count = settings.count
     scene = image_of("steady", settings.seed + 200, FRESH, count + INDEPENDENT + _VENDOR, count)
@@ -211,9 +214,9 @@ def _vendor(settings: SetSettings) -> tuple[FeatureSet, Points]:
     size = float(np.exp(rng.uniform(*np.log(_BIAS))))
     from_middle = vendor.image / (np.array(scene.image_size) / 2) - 1
     # In the middle of the image, and with a drift or an affine change more towards its edges.
-    bias = np.tile(_anywhere(rng, 1), (_VENDOR, 1))
+    bias = np.tile(_directions(rng, 1), (_VENDOR, 1))
     if settings.settings["error"] == "drift":
-        bias = bias / 2 + from_middle[:, :1] * _anywhere(rng, 1) / 2
+        bias = bias / 2 + from_middle[:, :1] * _directions(rng, 1) / 2
     elif settings.settings["error"] == "affine":
         bias = (bias + from_middle @ rng.normal(0.0, 1.0, (2, 2))) / 2
     biased = Points(vendor.ids, vendor.image + size * bias, vendor.ground)
@@ -221,11 +224,11 @@ def _vendor(settings: SetSettings) -> tuple[FeatureSet, Points]:
     return replace(features, rpc=rpc.as_delivered()), independent
 
 
-def _anywhere(rng: Generator, count: int) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
-    """Return directions of length 1, shape (count, 2)."""
+def _directions(rng: Generator, count: int) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+    """Return random directions of length 1, shape (count, 2)."""
     turn = rng.uniform(0, 2 * np.pi, count)
     return np.column_stack([np.sin(turn), np.cos(turn)])
 
 
 _MAKERS: Mapping[str, Callable[[SetSettings], tuple[FeatureSet, Points]]] = {
-    "old-map": _map, "vendor-rpc": _vendor, "matches": _matches, "lines": _lines}
+    "old-map": _map, "vendor-rpc": _with_vendor_rpc, "matches": _matches, "lines": _lines}

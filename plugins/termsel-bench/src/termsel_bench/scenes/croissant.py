@@ -48,7 +48,7 @@ POINT_COLUMNS = {
 
 
 def described(sets: Iterable[BenchSet]) -> dict[str, Any]:
-    """Return the metadata of some sets."""
+    """Return the description of simulated sets in Croissant, as JSON-LD."""
     described_sets = list(sets)
     files: list[dict[str, Any]] = []
     for bench_set in described_sets:
@@ -75,7 +75,7 @@ MEASURED_COLUMNS = {name: POINT_COLUMNS[name] for name in POINT_COLUMNS if name 
 
 
 def described_measured(names: Sequence[str], files: Mapping[str, str]) -> dict[str, Any]:
-    """Return the metadata of some measured sets, and of the files that hold them."""
+    """Return the description of measured sets and of the files that hold them, as JSON-LD."""
     sets = [measured(name) for name in names]
     places = json.loads(files[FOLDS])
     record_sets = []
@@ -124,7 +124,8 @@ def _points_of(bench_set: BenchSet) -> dict[str, Any]:
 
 
 def freeze(folder: Path) -> None:
-    """Write the metadata and the means of all sets as they are simulated here."""
+    """Write the description and the means of all sets, as they are simulated here, into a folder.
+    """
     sets = [made(name) for name in SETS]
     write_text(folder / METADATA, json.dumps(described(sets), indent=1) + "\n")
     means: dict[str, list[float]] = {}

@@ -98,11 +98,12 @@ class MeasuredSet:
 
     @property
     def trials(self) -> int:
-        """How often a method is fitted."""
+        """Number of folds, and so how often a method is fitted."""
         return int(self.folds.max()) + 1
 
     def trial(self, fold: int) -> tuple[FeatureSet, Points]:
-        """Return what a method sees in a fold, and the hidden points."""
+        """Return the features that a method sees in a fold, and the points that are hidden from it.
+        """
         points = self.features.points
         hidden = (self.folds == fold) != self.sees_one
         return self.features.with_(points=points.take(~hidden)), points.take(hidden)
@@ -161,7 +162,10 @@ def checksums_of_measured() -> dict[str, str]:
 
 
 def published_files(names: Sequence[str]) -> dict[str, str]:
-    """Return the files of some sets as they were published, by folder and name, with the folds."""
+    """Return the contents of the files of some sets as published, by folder/name, and their folds.
+
+    Licence and meta.json of each folder are among them.
+    """
     found: dict[str, str] = {}
     for source in SOURCES:
         files_of_source = [file for name, (its, file) in _source_and_file_by_set().items()
@@ -194,11 +198,13 @@ def _source_and_file_by_set() -> Mapping[str, tuple[Source, str]]:
 
 @lru_cache(maxsize=8)
 def _meta(folder: str) -> dict[str, Any]:
+    """Return the content of meta.json in the folder of a source."""
     content: dict[str, Any] = json.loads(_text(folder, "meta.json"))
     return content
 
 
 def _text(folder: str, file: str) -> str:
+    """Return the text of a file in the folder of a source; "" as folder for that of all."""
     place = files("termsel_bench") / "measured"
     return ((place / folder if folder else place) / file).read_bytes().decode()
 
@@ -223,13 +229,16 @@ def _matches(rows: Sequence[Sequence[float]]) -> Points:
 
 @lru_cache(maxsize=1)
 def _photos() -> dict[str, dict[str, str]]:
-    """Return what is stated of each photo: its size and its camera."""
+    """Return the row of each photo by its name: its size and its camera."""
     rows = csv.DictReader(StringIO(_text("smapshot_nadir", "photos.csv")))
     return {row["photo"]: row for row in rows}
 
 
 def drawn_folds() -> dict[str, list[int]]:
-    """Draw the fold of each point of each set; folds of a set differ by one point at most."""
+    """Return a fold for each point of each set, drawn by a seed.
+
+    Folds of a set differ by one point at most.
+    """
     folds = {}
     for number, (name, (source, file)) in enumerate(_source_and_file_by_set().items()):
         n = len(_points(_text(source.folder, file)))

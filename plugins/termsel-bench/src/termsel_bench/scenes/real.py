@@ -94,7 +94,8 @@ def real_set(folder: Path) -> BenchSet:
 
 
 def _declaration_of(file: Path) -> dict[str, str]:
-    """Return what the declaration of a real set states, all that is needed among it."""
+    """Return the declaration of a real set; raises TermselError if one of `NEEDED` is not stated.
+    """
     try:
         declared: Any = json.loads(read_text(file))
     except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
@@ -108,7 +109,8 @@ def _declaration_of(file: Path) -> dict[str, str]:
 
 
 def _inside(folder: Path, name: str, file: Path) -> bytes:
-    """Return the content of a file of a set, which has to be in its folder."""
+    """Return the content of a file of a set; raises TermselError if it is not in the set's folder.
+    """
     path = folder / name
     # A declaration cannot name a file outside of its folder.
     if not path.resolve().is_relative_to(folder.resolve()) or not path.is_file():

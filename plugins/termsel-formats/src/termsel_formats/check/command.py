@@ -86,6 +86,8 @@ def check(file: Path, folder: Path | None, as_json: bool, final: bool | None) ->
 
 
 def _row(deviation: Deviation) -> tuple[str, ...]:
+    """Return a row of the table: the program, what it takes, and how far that is off in px and m.
+    """
     metres = deviation.over_image.metres if deviation.over_image else None
     return (deviation.program, deviation.said or deviation.transformation,
             _largest(deviation.at_points), _largest(deviation.over_image),
@@ -97,7 +99,10 @@ def _largest(distances: Apart | None) -> str:
 
 
 def _warn(deviation: Deviation) -> None:
-    """Say so where a program takes by default what is not the model."""
+    """Print a warning if a program takes by default what is far from the model, or nothing.
+
+    And a note if it has no place for some of the places.
+    """
     compared_distances = [distances for distances in (deviation.at_points, deviation.over_image)
                           if distances is not None]
     worst = max(compared_distances, key=lambda distances: distances.largest, default=None)

@@ -111,7 +111,10 @@ def compared(path: Path | str, result: Result | None = None, *, final: bool | No
 
 
 def _deviation_of(answer: Taken, result: Result, size: tuple[int, int]) -> Deviation:
-    """Return the deviation of what a program takes."""
+    """Return how far what a program takes is from the model, at the points and over the image.
+
+    If the program has no transformation, or does not answer, it says so instead.
+    """
     deviation = Deviation(answer.program, answer.transformation, answer.crs, answer.by_default)
     if answer.places is None:
         return deviation
@@ -123,17 +126,20 @@ def _deviation_of(answer: Taken, result: Result, size: tuple[int, int]) -> Devia
     image = np.concatenate([inside * size - 0.5, outline(size)])
     level = float(result.fit.ground_box()[0][2])
     try:
-        of_points = _apart(answer, result, result.project(points), points, level) \
+        of_points = _distances(answer, result, result.project(points), points, level) \
             if len(points) else None
-        of_image = _apart(answer, result, image, result.locate(image, level), level)
+        of_image = _distances(answer, result, image, result.locate(image, level), level)
     except (NoAnswer, TermselError) as error:
         return replace(deviation, said=error.what)
     return replace(deviation, at_points=of_points, over_image=of_image)
 
 
-def _apart(answer: Taken, result: Result, image: FloatArray, ground: FloatArray, level: float,
-           ) -> Apart | None:
-    """Return how far from ground (n, 3) a program puts image places (n, 2); None if nowhere."""
+def _distances(answer: Taken, result: Result, image: FloatArray, ground: FloatArray, level: float,
+               ) -> Apart | None:
+    """Return how far from ground (n, 3) a program puts image places (n, 2); None if nowhere.
+
+    Heights that are not known are `level` [m].
+    """
     assert answer.places is not None
     sound = np.isfinite(image).all(axis=1) & np.isfinite(ground[:, :2]).all(axis=1)
     image = image[sound]

@@ -86,7 +86,10 @@ def header(path: Path) -> Header | None:
 
 
 def transformed(path: Path, *options: str) -> Places:
-    """Return what gdaltransform computes with options."""
+    """Return the function from image places and heights to the ground, by gdaltransform.
+
+    `options` are those of gdaltransform; the function raises NoAnswer if that fails.
+    """
     program = installed("gdaltransform") or "gdaltransform"
 
     def places(image: FloatArray, heights: FloatArray) -> FloatArray:
@@ -104,7 +107,7 @@ def transformed(path: Path, *options: str) -> Places:
 
 
 def _pair(row: str) -> tuple[float, float]:
-    """Return x and y of a row of gdaltransform, which may say that the transformation failed."""
+    """Return x and y of a row of gdaltransform; NaN if it says that the transformation failed."""
     try:
         x, y = map(float, row.split()[:2])
     except ValueError:
@@ -113,7 +116,7 @@ def _pair(row: str) -> tuple[float, float]:
 
 
 def _number(text: str) -> float | None:
-    """Return the number at the beginning of a text, which a unit may follow."""
+    """Return the number at the beginning of a text, which a unit may follow; None without one."""
     try:
         return float(text.split()[0])
     except (ValueError, IndexError):
@@ -121,12 +124,12 @@ def _number(text: str) -> float | None:
 
 
 def level(transform: Places, height: float = 0.0) -> Places:
-    """Return places at one height, whatever the heights."""
+    """Return a transformation with one height for all places, whatever heights it is asked for."""
     return lambda image, _heights: transform(image, np.full(len(image), height))
 
 
 def taken(path: Path, raster_header: Header) -> Iterator[Taken]:
-    """Yield what GDAL takes by default, then what it takes with options of gdalwarp."""
+    """Yield what GDAL takes of a raster by default, then what it takes with options of gdalwarp."""
     program = raster_header.version
     transform = transformed(path)
     if not raster_header.kind:
@@ -140,17 +143,20 @@ def taken(path: Path, raster_header: Header) -> Iterator[Taken]:
         yield Taken("  with -to RPC_DEM", "RPC at the heights of the ground", WGS84, transform,
                     False)
     else:
-        with_options = dict(_possible(path, raster_header))
+        with_options = dict(_possible_by_gcps(path, raster_header))
         default = level(transform)
-        yield Taken(program, _alike(default, with_options, raster_header.size), raster_header.crs,
-                    default)
+        yield Taken(program, _label_of(default, with_options, raster_header.size),
+                    raster_header.crs, default)
         for words, (options, by_option) in with_options.items():
             yield Taken(f"  with {' '.join(options)}", words, raster_header.crs, by_option, False)
 
 
-def _possible(path: Path, raster_header: Header,
-              ) -> Iterator[tuple[str, tuple[tuple[str, ...], Places]]]:
-    """Yield the transformations that GDAL can compute through the GCPs, with their options."""
+def _possible_by_gcps(path: Path, raster_header: Header,
+                      ) -> Iterator[tuple[str, tuple[tuple[str, ...], Places]]]:
+    """Yield the words for each transformation that GDAL can compute through the GCPs.
+
+    With each come its options and the transformation; those with too few GCPs are left out.
+    """
     for words, options in _BY_GCPS:
         transform = level(transformed(path, *options))
         try:
@@ -161,9 +167,12 @@ def _possible(path: Path, raster_header: Header,
             yield words, (options, transform)
 
 
-def _alike(default: Places, with_options: dict[str, tuple[tuple[str, ...], Places]],
-           size: tuple[int, int]) -> str:
-    """Return which of the transformations with options is the one without."""
+def _label_of(default: Places, with_options: dict[str, tuple[tuple[str, ...], Places]],
+              size: tuple[int, int]) -> str:
+    """Return the words for the transformation with options that is the default one.
+
+    If none is, "transformation through GCPs".
+    """
     # GDAL does not say which transformation it takes by default: its answers show.
     image = _corners(size)
     flat = np.zeros(4)
@@ -176,6 +185,7 @@ def _alike(default: Places, with_options: dict[str, tuple[tuple[str, ...], Place
 
 
 def _corners(size: tuple[int, int]) -> FloatArray:
+    """Return line and sample (4, 2) of the corner pixels of an image."""
     lines, samples = (float(length) - 1.0 for length in size)
     return np.array([[0.0, 0.0], [0.0, samples], [lines, samples], [lines, 0.0]])
 

@@ -80,7 +80,7 @@ def taken_by(path: Path | str) -> Answers:
 
 
 def _as_iterator(ask: Ask) -> Callable[[Path, gdal.Header], Iterator[Taken]]:
-    """Return a question with at most one answer as one that yields its answers."""
+    """Return a question that yields its answer, if it has one, of one that returns it or None."""
     def answers_of(path: Path, raster_header: gdal.Header) -> Iterator[Taken]:
         answer = ask(path, raster_header)
         if answer is not None:

@@ -19,7 +19,10 @@ _NEAR = 3.0  # px of the map that QGIS makes, by which its extent may differ fro
 
 @contextmanager
 def unchanged(file: Path) -> Iterator[None]:
-    """Leave a file as it is, or away: QGIS writes the statistics of a layer next to its raster."""
+    """Restore a file afterwards, or remove one that was not there.
+
+    QGIS writes the statistics of a layer next to its raster.
+    """
     before = file.read_bytes() if file.is_file() else None
     try:
         yield

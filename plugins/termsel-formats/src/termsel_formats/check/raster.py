@@ -14,7 +14,7 @@ from termsel_formats.check.gdal import WGS84
 
 
 def taken(path: Path) -> Iterator[Taken]:
-    """Yield what rasterio takes: its geotransform, else its transformers of GCPs and RPCs."""
+    """Yield what rasterio takes: the geotransform, else its transformer of GCPs or of RPCs."""
     rasterio = require_rasterio()
     from rasterio.transform import AffineTransformer, GCPTransformer, RPCTransformer
 
@@ -47,7 +47,7 @@ def _wkt(crs: object) -> str:
 
 
 def _transform_by_rasterio(transformer: type, argument: object) -> Places:
-    """Return what a transformer of rasterio computes at the height 0."""
+    """Return the function from image places to the ground by a transformer, at the height 0."""
     def places(image: FloatArray, _heights: FloatArray) -> FloatArray:
         with transformer(argument) as opened:
             x, y = opened.xy(image[:, 0].tolist(), image[:, 1].tolist(), zs=[0.0] * len(image))

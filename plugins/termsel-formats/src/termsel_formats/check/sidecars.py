@@ -52,14 +52,14 @@ def raster_of(path: Path, result: Result | None) -> Iterator[Path]:
                            "as it had no --image.")
     with private_folder() as folder:
         image = folder / ("image.tif" if match else Path(stem).with_suffix(".tif").name)
-        _empty(image, size)
+        _write_empty(image, size)
         name = f"{image.name}{_AUXILIARY}" if auxiliary else f"image{match['rest']}"  # type: ignore[index]
         shutil.copy(path, folder / name)
         yield image
 
 
-def _empty(path: Path, size: tuple[int, int]) -> None:
-    """Write a raster of zeros, which takes no room."""
+def _write_empty(path: Path, size: tuple[int, int]) -> None:
+    """Write a raster of zeros with lines and samples of `size`, sparse so that it takes no room."""
     import warnings
 
     rasterio = require_rasterio()

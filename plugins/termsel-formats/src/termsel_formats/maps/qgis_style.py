@@ -30,7 +30,7 @@ _SHAPES = {"circle": "circle", "square": "square", "triangle-up": "triangle",
 
 
 def styles() -> dict[str, Any]:
-    """Return the columns of the table, with a row for each of the layers residuals and vectors."""
+    """Return the columns of the table layer_styles, with a row each for residuals and vectors."""
     layers = {"residuals": _markers(), "vectors": _arrows()}
 
     def text(*values: str) -> Any:
@@ -46,7 +46,7 @@ def styles() -> dict[str, Any]:
 
 
 def _markers() -> str:
-    """Return QML with a marker for each role."""
+    """Return the style of residuals in QML, with a marker for each role."""
     return _style_by_role("marker", 0, {
         role: _layer("SimpleMarker", name=_SHAPES[ROLE_SHAPES[role]], color=_rgb(colour),
                      outline_color=_rgb(GROUND), outline_width="0.2", outline_width_unit="MM",
@@ -67,7 +67,11 @@ def _arrows() -> str:
 
 
 def _style_by_role(kind: str, geometry: int, layers: dict[str, str]) -> str:
-    """Return a style of QGIS with a symbol for each role."""
+    """Return a style in QML with a symbol for each role.
+
+    `kind` and `geometry` are QGIS's names of the type of geometry, `layers` the symbol layers by
+    role.
+    """
     categories = "".join(
         f'<category value="{role}" label="{_LABELS.get(role, role)}" symbol="{i}" render="true"/>'
         for i, role in enumerate(layers))
@@ -86,11 +90,12 @@ def _symbol(kind: str, name: str, layer: str) -> str:
 
 
 def _layer(kind: str, inner: str = "", **properties: str) -> str:
+    """Return a symbol layer of a class in QML, with its properties."""
     # <prop> rather than <Option>, which earlier versions of QGIS do not read.
     entries = "".join(f'<prop k="{name}" v="{value}"/>' for name, value in properties.items())
     return f'<layer class="{kind}" enabled="1" locked="0" pass="0">{entries}{inner}</layer>'
 
 
 def _rgb(colour: str) -> str:
-    """Return a colour such as #0072b2 as QGIS writes it."""
+    """Return a colour such as #0072b2 as QGIS writes it: 0,114,178,255."""
     return ",".join(str(component) for component in bytes.fromhex(colour[1:])) + ",255"

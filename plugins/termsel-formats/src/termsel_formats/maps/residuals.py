@@ -81,7 +81,10 @@ class ResidualsGeopackage(Writer):
         say_measured(self.name)
 
     def _ends(self, result: Result, ground: FloatArray) -> tuple[FloatArray, float]:
-        """Return the ends of the vectors, and their exaggeration."""
+        """Return the ends (n, 2) of the vectors on the ground, and how often they are exaggerated.
+
+        Unless stated, the median vector is drawn as a share of the extent.
+        """
         vectors = np.nan_to_num(errors_on_ground(result.fit, result.residuals))
         exaggeration = self.options["exaggeration"]
         if exaggeration is None:
@@ -92,7 +95,8 @@ class ResidualsGeopackage(Writer):
 
 
 def _attributes(result: Result, reserved: list[str]) -> dict[str, TextArray]:
-    """Return the attributes of the features that have residuals, whose names are not taken."""
+    """Return the texts of the features' own columns (n,), by name, but for names that are reserved.
+    """
     features = result.features
     row = {name: i for i, name in enumerate(features.ids)}
     rows = [row[residual.id] for residual in result.residuals]

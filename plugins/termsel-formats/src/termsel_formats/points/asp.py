@@ -68,7 +68,7 @@ class AspGcp(Reader):
                 and not is_number(cells[7]))
 
     def read(self, path: Path) -> FeatureSet:
-        """Return the points; errors name file, line and column."""
+        """Return the points of one image; errors name file, line and column."""
         points = _rows(path)
         names = chain.from_iterable(images for _, _, images in points)
         image = image_of(path, names, self.options["image_name"], "image_name=NAME")
@@ -87,7 +87,7 @@ class AspGcp(Reader):
                           crs=_datum(path))
 
     def parts(self, path: Path) -> dict[str, dict[str, Any]]:
-        """Return the images of the file, each of which is a part."""
+        """Return the options for each image of the file; {} if there is only one."""
         images = dict.fromkeys(chain.from_iterable(names for _, _, names in _rows(path)))
         return {image: {"image_name": image} for image in images} if len(images) > 1 else {}
 
@@ -97,7 +97,10 @@ _Row = tuple[int, list[str], dict[str, list[str]]]
 
 
 def _rows(path: Path) -> list[_Row]:
-    """Return the rows of a file, at least one."""
+    """Return line, ground cells and measurements by image of each row.
+
+    Raises TermselError if there is no row, or one has another number of cells.
+    """
     points: list[_Row] = []
     for number, text in enumerate(read_text(path).splitlines(), 1):
         if _idle(text):
@@ -116,13 +119,13 @@ def _rows(path: Path) -> list[_Row]:
 
 
 def _names(path: Path) -> dict[str, str]:
-    """Return the names of points by their ids, from the comments of termsel."""
+    """Return the names of points by their ids, from comments of termsel; {} if there are none."""
     matches = map(_NAMED.match, read_text(path).splitlines())
     return {match[1]: match[2].strip() for match in matches if match}
 
 
 def _datum(path: Path) -> str:
-    """Return the CRS of the comment that states the datum, "" where there is none to read."""
+    """Return the CRS of the comment that states the datum; "" without one that can be read."""
     stated = map(_WKT.match, read_text(path).splitlines())
     wkt = next((match[1] for match in stated if match), "")
     try:
@@ -163,7 +166,8 @@ class AspGcpWriter(PointsWriter):
                                     "not in the control of termsel.", float, 0.0, 1e6))
 
     def write(self, result: Result, path: Path) -> None:
-        """Write a row for each point."""
+        """Write a row for each point; raises TermselError without heights or a standard deviation.
+        """
         self.require(result, path)
         sigma_ground = float(self.options["ground_sigma"])
         if not 0.0 < sigma_ground < np.inf:
@@ -193,7 +197,7 @@ class AspGcpWriter(PointsWriter):
 
 
 def _ids(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return names that all are whole numbers, else numbers from 1."""
+    """Return the names if all are whole numbers, else numbers from 1."""
     # bundle_adjust leaves out rows whose ids are no whole numbers.
     are_numbers = all(name.isascii() and name.isdecimal() and str(int(name)) == name
                 and int(name) <= _LARGEST_ID for name in names)
@@ -201,5 +205,5 @@ def _ids(names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _word(text: str) -> str:
-    """Return a text without what separates cells or begins a comment."""
+    """Return a text with _ in place of what separates cells or begins a comment; "_" of ""."""
     return re.sub(r"[\s,#]+", "_", text) or "_"

@@ -17,7 +17,7 @@ CORNER = 0.5
 
 
 def utm(zone: int, south: bool) -> str:
-    """Return the CRS of a zone of UTM on WGS 84, "" for a zone that there is not."""
+    """Return the CRS of a zone of UTM on WGS84; "" if there is no such zone."""
     return f"EPSG:32{7 if south else 6}{zone:02d}" if 1 <= zone <= 60 else ""
 
 
@@ -39,12 +39,16 @@ def xml_root(path: Path, hint: str) -> ElementTree.Element:
 
 
 def what_lacks(error: KeyError | ValueError) -> str:
-    """Return what a KeyError or a ValueError of reading attributes says, for users."""
+    """Return, for users, what a KeyError or ValueError of reading attributes is about."""
     return f"it has no {error.args[0]}" if isinstance(error, KeyError) else str(error)
 
 
 def points_of(path: Path, ids: Sequence[str], rows: Sequence[Sequence[float]]) -> Points:
-    """Return GCPs as points, of rows of line, sample, x, y and z; heights all 0 are unknown."""
+    """Return GCPs as points, of rows of line, sample, x, y and z (n, 5).
+
+    Heights that are all 0 are unknown; ids that repeat or are blank become P1 and so on. Raises
+    TermselError with the path if a row is no point.
+    """
     table = np.array(rows, dtype=np.float64)
     if not np.nan_to_num(table[:, 4]).any():
         table[:, 4] = np.nan

@@ -74,13 +74,16 @@ class EnviPoints(Reader):
 
 
 def _is_title(comment: str) -> bool:
-    """Return True for a comment that only a file of points of ENVI has."""
+    """Return whether a comment is one that only files of points of ENVI have."""
     envi = _ENVI.search(comment)
     return bool(envi and _KIND.search(comment, envi.end())) or bool(_IMAGE_COLUMNS.search(comment))
 
 
 def _rows(path: Path) -> tuple[list[list[str]], list[int], str]:
-    """Return rows of cells, their lines, and the CRS of the comments."""
+    """Return the cells of each row, the numbers of their lines, and the CRS, "" if none is stated.
+
+    Raises TermselError without rows, for rows of other widths, and for points of two images.
+    """
     rows: list[list[str]] = []
     lines: list[int] = []
     crs = ""
@@ -110,7 +113,7 @@ def _rows(path: Path) -> tuple[list[list[str]], list[int], str]:
 
 
 def _crs(projection: str) -> str:
-    """Return the CRS of a projection as ENVI describes it, "" where it is another."""
+    """Return the CRS of a projection as ENVI describes it: WGS84, in degrees or UTM; else ""."""
     items = [item.strip().lower() for item in projection.split(",")]
     if "wgs-84" not in items:
         return ""

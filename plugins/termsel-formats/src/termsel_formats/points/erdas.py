@@ -97,7 +97,7 @@ class ErdasGcpsWriter(PointsWriter):
         return bool(len(result.fit.control.points))
 
     def write(self, result: Result, path: Path) -> None:
-        """Write the table."""
+        """Write the points as a table with tabs, lines counted upwards as IMAGINE has them."""
         self.require(result, path)
         points = chosen_points(result)
         rows = ["Point #\tPoint ID\tX Input\tY Input\tX Ref.\tY Ref.\tZ Ref.\tType"]

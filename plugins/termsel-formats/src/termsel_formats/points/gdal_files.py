@@ -54,14 +54,17 @@ class PamGcps(Reader):
             raise TermselError("this file has no ground control points", file=path,
                                hint="Check the image with gdalinfo.")
         positions = [(line - CORNER, sample - CORNER, *ground) for sample, line, *ground in rows]
-        return FeatureSet(points_of(path, ids, positions), crs=_known(crs))
+        return FeatureSet(points_of(path, ids, positions), crs=_crs_or_blank(crs))
 
 
 _Found = tuple[list[str], list[list[float]], str]
 
 
 def _gcps_of_gdal(root: ElementTree.Element) -> _Found | None:
-    """Return ids, numbers and CRS of the list of GCPs that GDAL writes."""
+    """Return ids, numbers and CRS of the list of GCPs that GDAL writes; None without one.
+
+    Raises KeyError or ValueError if one of them lacks a number.
+    """
     gcp_list = root.find("GCPList")
     if gcp_list is None:
         return None
@@ -74,7 +77,10 @@ def _gcps_of_gdal(root: ElementTree.Element) -> _Found | None:
 
 
 def _gcps_of_arcgis(root: ElementTree.Element) -> _Found | None:
-    """Return numbers and CRS of the control points of ArcGIS, which have no ids and heights."""
+    """Return ids (""), numbers and CRS of the control points of ArcGIS; None without any.
+
+    Raises ValueError if their numbers do not match.
+    """
     transformation = root.find(".//GeodataXform")
     if transformation is None:
         return None
@@ -92,8 +98,8 @@ def _gcps_of_arcgis(root: ElementTree.Element) -> _Found | None:
     return [""] * len(rows), rows, transformation.findtext("SpatialReference/WKT", "")
 
 
-def _known(crs: str) -> str:
-    """Return a CRS, "" where it cannot be read."""
+def _crs_or_blank(crs: str) -> str:
+    """Return a CRS in its normal form; "" if it cannot be read."""
     try:
         return normalise(crs)
     except TermselError:
@@ -111,7 +117,7 @@ class PamGcpsWriter(PointsWriter):
     suffix = ".aux.xml"
 
     def write(self, result: Result, path: Path) -> None:
-        """Write the points."""
+        """Write the points as GCPs in auxiliary XML."""
         self.require(result, path)
         used, gcps, crs = gcps_of(result)
         rows = [f'    <GCP Id={xml_attribute(name)} Info="" Pixel="{sample + CORNER!r}" '
@@ -134,7 +140,7 @@ class GcpTiff(PointsWriter):
     declared_options: ClassVar[tuple[Option, ...]] = (IMAGE,)
 
     def write(self, result: Result, path: Path) -> None:
-        """Write the copy."""
+        """Write a copy of the image as a GeoTIFF with the points as GCPs, or an empty one."""
         self.require(result, path)
         from rasterio._err import CPLE_BaseError
         from rasterio.errors import RasterioError
@@ -161,7 +167,7 @@ class GcpTiff(PointsWriter):
 
 
 def _copy(raster: Any, path: Path, sparse: bool) -> None:
-    """Copy an open raster to a GeoTIFF."""
+    """Copy an open raster to a GeoTIFF; sparse means that empty blocks take no room."""
     from rasterio.shutil import copy
 
     copy(raster, path, driver="GTiff", compress="deflate", tiled=True, sparse_ok=sparse)

@@ -79,16 +79,16 @@ class GdalOptions(Reader):
                           crs=stated[0] if len(stated) == 1 else "")
 
     def parts(self, path: Path) -> dict[str, dict[str, Any]]:
-        """Return the images of a script, each of which is a part."""
+        """Return the options for each image of a script; {} if there is only one."""
         images = _commands(path)
         return {image: {"image_name": image} for image in images} if len(images) > 1 else {}
 
 
 def _stated_crs(text: str) -> list[str]:
-    """Return the different CRSs that options state of GCPs."""
+    """Return the CRSs that options state of GCPs, each once; [] if none can be read."""
     stated = []
     for quoted, single, bare in _SRS.findall(text):
-        stated.append(_readable(re.sub(r"\\(.)", r"\1", quoted) or single or bare))
+        stated.append(_crs_or_blank(re.sub(r"\\(.)", r"\1", quoted) or single or bare))
     return list(dict.fromkeys(filter(None, stated)))
 
 
@@ -154,14 +154,15 @@ class GdalinfoText(Reader):
                                hint="Give what it prints of an image that has some.")
         # GDAL counts from the corner of the first pixel.
         table = [(line - CORNER, sample - CORNER, *ground) for sample, line, *ground in rows]
-        return FeatureSet(points_of(path, ids, table), crs=_readable(crs), image_size=size)
+        return FeatureSet(points_of(path, ids, table), crs=_crs_or_blank(crs), image_size=size)
 
 
 _Printed = tuple[list[str], list[list[float]], str, tuple[int, int] | None]
 
 
 def _gcps_of_text(text: str) -> _Printed:
-    """Return ids, numbers, CRS and image size of what gdalinfo prints."""
+    """Return ids, numbers, CRS ("" if none) and size (None if not stated) of what gdalinfo prints.
+    """
     gcps = _PRINTED.findall(text)
     size = _SIZE.search(text)
     crs = _PRINTED_CRS.search(text)
@@ -173,7 +174,10 @@ def _gcps_of_text(text: str) -> _Printed:
 
 
 def _gcps_of_json(path: Path, text: str) -> _Printed:
-    """Return ids, numbers, CRS and image size of what gdalinfo -json prints."""
+    """Return ids, numbers, CRS ("" if none) and size (None if not stated) of gdalinfo -json.
+
+    Raises TermselError if the content is no such list.
+    """
     hint = "Write it again with gdalinfo -json."
     try:
         content = parse_json(text, hint)
@@ -196,8 +200,8 @@ def _gcps_of_json(path: Path, text: str) -> _Printed:
     return ids, rows, " ".join(crs.split()), lines_samples
 
 
-def _readable(crs: str) -> str:
-    """Return a CRS in its normal form, "" where it cannot be read."""
+def _crs_or_blank(crs: str) -> str:
+    """Return a CRS in its normal form; "" if it cannot be read."""
     try:
         return normalise(crs)
     except TermselError:
@@ -215,7 +219,7 @@ class GdalOptionsWriter(PointsWriter):
     suffix = "_gcps.txt"
 
     def write(self, result: Result, path: Path) -> None:
-        """Write an option a line."""
+        """Write the CRS, and a line with the option -gcp for each point of control."""
         self.require(result, path)
         # GDAL would take check points as control.
         checked = checked_points(result).without_checks()

@@ -110,7 +110,7 @@ class GeolocationArray(Reader):
             return False
 
     def read(self, path: Path) -> FeatureSet:
-        """Return the lattice; errors name the file."""
+        """Return a lattice of places of the array as control; errors name the file."""
         read_head(path, _HINT)
         with ExitStack() as stack:
             arrays = self._arrays(path, stack)
@@ -140,7 +140,12 @@ class GeolocationArray(Reader):
                       "", size)
 
     def _pair(self, name: str, usual: float) -> FloatArray:
-        """Return an option of two numbers, of lines and of samples."""
+        """Return an option of two numbers, of lines and of samples (2,).
+
+        `usual` twice if not given.
+
+        Raises TermselError if it is no such pair.
+        """
         text = self.options[name]
         if text is None:
             return np.full(2, usual)
@@ -156,7 +161,10 @@ class GeolocationArray(Reader):
 
 
 def _named_bands(raster: Any) -> list[int] | None:
-    """Return the numbers of the bands of longitude, latitude and perhaps height, by their names."""
+    """Return the numbers of the bands that are called longitude, latitude and perhaps height.
+
+    None if the first two are not both there.
+    """
     names = [str(name or "").strip().casefold() for name in raster.descriptions]
     numbers: list[int | None] = []
     for accepted in (LONGITUDES, LATITUDES, HEIGHTS):
@@ -193,7 +201,10 @@ def _arrays_of_domain(path: Path, raster: Any, domain: dict[str, str], stack: Ex
 
 
 def _number(domain: dict[str, str], name: str, usual: float, path: Path) -> float:
-    """Return a number of the domain GEOLOCATION."""
+    """Return a number of the domain GEOLOCATION, `usual` if it is not stated.
+
+    Raises TermselError if it is none.
+    """
     text = domain.get(name)
     try:
         value = usual if text is None else float(text)
@@ -206,7 +217,10 @@ def _number(domain: dict[str, str], name: str, usual: float, path: Path) -> floa
 
 
 def _bands(bands: list[tuple[Any, int]], path: Path) -> tuple[Band, ...]:
-    """Return what reads lines of bands, which must be of one size."""
+    """Return functions that read the lines of bands.
+
+    Raises TermselError unless all are of one size.
+    """
     first = bands[0][0]
     for raster, number in bands:
         refuse_empty_giant(raster)
@@ -236,7 +250,12 @@ def _line_of(raster: Any, number: int) -> Band:
 
 
 def _lattice_of(arrays: Arrays, path: Path, meshes: int | None) -> FeatureSet:
-    """Return some places of arrays, as many as the geometry needs, as control."""
+    """Return some places of arrays as control.
+
+    As dense as the geometry needs, or `meshes` either way.
+
+    Raises TermselError if fewer than four are coordinates.
+    """
     densest = max(size - 1 for size in arrays.shape)
     lattice = None
     error = np.inf
@@ -267,7 +286,9 @@ def _lattice_of(arrays: Arrays, path: Path, meshes: int | None) -> FeatureSet:
 
 
 def _crs_of(stated: str, heights: bool) -> str:
-    """Return the CRS of places: of degrees, WGS84 with ellipsoidal heights where these are known.
+    """Return the CRS of places: as stated, or longitude and latitude of WGS84.
+
+    `heights` says whether ellipsoidal heights are known.
     """
     from rasterio.crs import CRS
     from rasterio.errors import CRSError
@@ -343,7 +364,7 @@ def _error_between(arrays: Arrays, lattice: tuple[FloatArray, FloatArray]) -> fl
 
 
 def _columns(ground: FloatArray) -> FloatArray:
-    """Return the monomials of scaled places that image positions are smooth in, (n, 17)."""
+    """Return the monomials (n, 17) of scaled places (n, 3) in which image positions are smooth."""
     x, y, z = np.nan_to_num(ground).T
     plane = []
     with_height = []

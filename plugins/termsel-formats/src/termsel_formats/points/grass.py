@@ -72,7 +72,7 @@ class GrassPoints(Reader):
 
 
 def _rows(text: str) -> list[tuple[int, list[str]]]:
-    """Return number and cells of the lines that are no comments."""
+    """Return number and cells of the lines that are neither blank nor comments."""
     return [(number, re.split(r"\s+", line.strip()))
             for number, line in enumerate(text.splitlines(), 1)
             if line.strip() and not line.lstrip().startswith("#")]

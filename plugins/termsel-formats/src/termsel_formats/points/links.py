@@ -55,7 +55,7 @@ class ArcgisLinks(Reader):
         table = np.array(rows, dtype=np.float64)
         if not np.isfinite(table).all():
             return False
-        first = _first(len(rows[0]))
+        first = _column_of_x(len(rows[0]))
         if first and not np.array_equal(table[:, 0], np.arange(len(table)) + table[0, 0]):
             return False
         column = table[:, first]
@@ -78,7 +78,7 @@ class ArcgisLinks(Reader):
                 raise TermselError(f"{len(cells)} cells, expected {expected}", file=path,
                                    line=number, hint=_HINT)
         lines, cells_of_rows = zip(*rows, strict=True)
-        first = _first(width)
+        first = _column_of_x(width)
         columns = {}
         for i, meaning in enumerate(_MEANINGS):
             columns[meaning] = [cells[first + i] for cells in cells_of_rows]
@@ -96,13 +96,19 @@ class ArcgisLinks(Reader):
         return FeatureSet(table.points(image, table.stack("x", "y", "z"), None, ()), crs="")
 
 
-def _first(width: int) -> int:
-    """Return the column of X Source: after a number, where the row has one."""
+def _column_of_x(width: int) -> int:
+    """Return the number of the column of X Source.
+
+    1 in rows that begin with a number of the link, or 0.
+    """
     return 1 if width in (5, 8) else 0
 
 
 def _rows(text: str) -> list[tuple[int, list[str]]]:
-    """Return number and cells of the lines that are no comments."""
+    """Return number and cells of the lines that are neither blank nor comments.
+
+    Decimal commas become points.
+    """
     # Next to tabs or semicolons, commas are decimal, as ArcGIS writes them in many countries.
     if re.search(r"[\t;]", text) and "." not in text:
         text = text.replace(",", ".")

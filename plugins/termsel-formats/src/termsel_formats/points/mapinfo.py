@@ -61,7 +61,7 @@ class MapInfoTab(Reader):
 
 
 def _crs(text: str) -> str:
-    """Return the CRS of a table where it is longitude and latitude, or UTM, on WGS84; else ""."""
+    """Return the CRS of a table in longitude and latitude, or UTM, on WGS84; "" of any other."""
     match = _SYSTEM.search(text)
     if match is None:
         return ""
@@ -94,7 +94,7 @@ class MapInfoTabWriter(PointsWriter):
     declared_options: ClassVar[tuple[Option, ...]] = (IMAGE,)
 
     def write(self, result: Result, path: Path) -> None:
-        """Write the table."""
+        """Write the table with the points of registration, in UTM or degrees on WGS84."""
         self.require(result, path)
         used = chosen_points(result)
         points, zone = on_wgs84(used, result.features.crs)
@@ -115,7 +115,7 @@ class MapInfoTabWriter(PointsWriter):
 
 
 def _label(name: str, number: int) -> str:
-    """Return an id as a label, which holds the letters of ASCII alone."""
+    """Return an id as a label, or "Pt 7" if it has a quote or a letter beyond ASCII."""
     return name if name.isascii() and '"' not in name else f"Pt {number}"
 
 

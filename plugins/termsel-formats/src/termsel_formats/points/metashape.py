@@ -41,7 +41,7 @@ class MetashapeMarkers(Reader):
         return b"<markers" in head and b"<document" in head
 
     def read(self, path: Path) -> FeatureSet:
-        """Return the markers that a camera sees; errors name file and marker."""
+        """Return the markers that one camera sees; errors name the file."""
         root = xml_root(path, _HINT)
         try:
             cameras = _labels(root, "camera")
@@ -74,7 +74,7 @@ class MetashapeMarkers(Reader):
             raise located(error, path) from error
 
     def parts(self, path: Path) -> dict[str, dict[str, Any]]:
-        """Return the cameras of the markers, each of which is a part."""
+        """Return the options for each camera of the markers; {} if there is only one."""
         root = xml_root(path, _HINT)
         try:
             cameras = _labels(root, "camera")
@@ -100,7 +100,10 @@ def _labels(root: ElementTree.Element, tag: str) -> dict[str, str]:
 
 
 def _marks(root: ElementTree.Element) -> list[_Mark]:
-    """Return where cameras see markers, but for positions that are off."""
+    """Return where cameras see markers, without positions that are switched off.
+
+    Raises KeyError or ValueError if one lacks a coordinate.
+    """
     marks = []
     for marker in root.iter("marker"):
         if "marker_id" not in marker.attrib:
@@ -113,7 +116,7 @@ def _marks(root: ElementTree.Element) -> list[_Mark]:
 
 
 def _references(root: ElementTree.Element) -> dict[str, list[float]]:
-    """Return the ground coordinates of markers by their ids; NaN for a height that is missing."""
+    """Return the ground coordinates x, y, z of markers by their ids; z is NaN if it is missing."""
     ground = {}
     for marker in root.iter("marker"):
         if "id" not in marker.attrib:
@@ -126,7 +129,7 @@ def _references(root: ElementTree.Element) -> dict[str, list[float]]:
 
 
 def _crs(root: ElementTree.Element) -> str:
-    """Return the CRS of the references, "" for none."""
+    """Return the CRS of the references; "" if there is none, or a local one."""
     reference = root.find(".//chunk/reference")
     try:
         return normalise("" if reference is None else reference.text or "")
@@ -147,7 +150,7 @@ class MetashapeMarkersWriter(PointsWriter):
     declared_options: ClassVar[tuple[Option, ...]] = (IMAGE,)
 
     def write(self, result: Result, path: Path) -> None:
-        """Write the markers."""
+        """Write the points as markers of one camera; check points are not enabled."""
         self.require(result, path)
         checked = checked_points(result)
         require_points(checked, path, self.needs)

@@ -72,12 +72,15 @@ class MicmacXml(Reader):
             raise located(error, path) from error
 
     def parts(self, path: Path) -> dict[str, dict[str, Any]]:
-        """Return the images of the file, each of which is a part."""
+        """Return the options for each image of the file; {} if there is only one."""
         images = _marks(path)
         return {image: {"image_name": image} for image in images} if len(images) > 1 else {}
 
     def _places(self, path: Path) -> dict[str, list[float]]:
-        """Return the places on the ground, from the file itself or the one that belongs to it."""
+        """Return x, y, z of points by name, from the file itself or the one that belongs to it.
+
+        Raises TermselError if there is none.
+        """
         stated = self.options["ground"]
         root = xml_root(path, _HINT)
         # Some programs write both into one file.
@@ -95,7 +98,7 @@ class MicmacXml(Reader):
 
 
 def _ground_file(path: Path) -> Path:
-    """Return the file of the ground that belongs to a file of measures, by its name."""
+    """Return the path of the ground's file that belongs to a file of measures, there or not."""
     for ending, ground_ending in _ENDINGS.items():
         # SaisieAppuisInit ends names so, in whatever case the system kept.
         if path.name.lower().endswith(ending.lower()):
@@ -104,7 +107,10 @@ def _ground_file(path: Path) -> Path:
 
 
 def _marks(path: Path) -> dict[str, dict[str, list[float]]]:
-    """Return column and row of each point in each image."""
+    """Return column and row of each point in each image: {image: {point: [column, row]}}.
+
+    Raises TermselError without measures, or if a point is measured twice in an image.
+    """
     root = xml_root(path, _HINT)
     marks: dict[str, dict[str, list[float]]] = {}
     for image in root.iter("MesureAppuiFlottant1Im"):
@@ -124,7 +130,7 @@ def _marks(path: Path) -> dict[str, dict[str, list[float]]]:
 
 
 def _ground_of(root: ElementTree.Element, path: Path) -> dict[str, list[float]]:
-    """Return the place of each point on the ground."""
+    """Return x, y, z of points on the ground by name; raises TermselError if there are none."""
     ground = {}
     for point in root.iter("OneAppuisDAF"):
         name = (point.findtext("NamePt") or "").strip()
@@ -135,7 +141,8 @@ def _ground_of(root: ElementTree.Element, path: Path) -> dict[str, list[float]]:
 
 
 def _numbers(path: Path, name: str, text: str | None, count: int) -> list[float]:
-    """Return the numbers of an element, so many of them."""
+    """Return the `count` finite numbers of an element; raises TermselError with its point if not.
+    """
     cells = (text or "").split()
     try:
         numbers = [float(cell) for cell in cells]
@@ -167,7 +174,8 @@ class MicmacXmlWriter(PointsWriter):
         return path, _ground_file(path)
 
     def write(self, result: Result, path: Path) -> None:
-        """Write both files."""
+        """Write the file of measures and that of the ground; raises TermselError without control.
+        """
         self.require(result, path)
         checked = checked_points(result, with_heights=True)
         require_points(checked, path, self.needs)

@@ -80,13 +80,16 @@ class OdmGcpList(Reader):
                                        None, roles), crs=crs)
 
     def parts(self, path: Path) -> dict[str, dict[str, Any]]:
-        """Return the images of the list, each of which is a part."""
+        """Return the options for each image of the list; {} if there is only one."""
         images = dict.fromkeys(cells[5] for _, cells in _marks(path)[1])
         return {image: {"image_name": image} for image in images} if len(images) > 1 else {}
 
 
 def _marks(path: Path) -> tuple[str, list[tuple[int, list[str]]]]:
-    """Return the CRS, and number and cells of each line of a mark."""
+    """Return the CRS, and number and cells of each line of a mark.
+
+    Raises TermselError without a CRS or marks, and for a line that is none.
+    """
     rows = _lines(read_text(path))
     if not rows:
         raise TermselError("the file is empty", file=path, hint=_HINT)
@@ -118,7 +121,10 @@ def _lines(text: str) -> list[tuple[int, str]]:
 
 
 def _crs_row(rows: list[tuple[int, str]]) -> int | None:
-    """Return which of the lines is the CRS, with or without a #; comments may stand above it."""
+    """Return which of the lines is the CRS, with or without a #; None if none is.
+
+    Comments may stand above it.
+    """
     for i, (_, text) in enumerate(rows):
         statement = text.removeprefix("#").strip()
         try:
@@ -141,12 +147,16 @@ def _cells(text: str) -> list[str]:
 
 
 def _is_mark(cells: list[str]) -> bool:
+    """Return whether cells are a mark.
+
+    X, y, z, column and row as numbers, then the name of an image.
+    """
     return (len(cells) > 5 and all(is_number(cell) for cell in (*cells[:2], *cells[3:5]))
             and (is_number(cells[2]) or not _known_height(cells[2])) and not is_number(cells[5]))
 
 
 def _known_height(cell: str) -> str:
-    """Return a cell, blank where the list says by NaN that a height is unknown."""
+    """Return a cell; "" if it says that a height is unknown."""
     return "" if cell.lower() in ("nan", "none", "-") else cell
 
 
@@ -167,7 +177,7 @@ class OdmGcpListWriter(PointsWriter):
                                      "names that begin with CHK-.", type=bool))
 
     def write(self, result: Result, path: Path) -> None:
-        """Write the list."""
+        """Write the CRS and a line for each point; check points only if that is asked for."""
         self.require(result, path)
         checked = checked_points(result)
         if not self.options["check_points"]:
@@ -204,5 +214,5 @@ def _crs_line(crs: str) -> str:
 
 
 def _word(text: str) -> str:
-    """Return a text without blanks, which separate the cells of a list."""
+    """Return a text with _ in place of blanks, which separate the cells of a list; "_" of ""."""
     return "_".join(text.split()) or "_"

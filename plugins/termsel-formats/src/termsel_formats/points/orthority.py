@@ -32,7 +32,8 @@ class OrthorityGeojson(Writer):
                     and not np.isnan(points.ground[:, 2]).any())
 
     def write(self, result: Result, path: Path) -> None:
-        """Write a feature collection of 3D points in WGS84."""
+        """Write the points as GeoJSON, 3D in WGS84; raises TermselError without heights or a CRS.
+        """
         if not self.accepts(result):
             raise TermselError(f"this result cannot be written as {self.name}", file=path,
                                hint="It requires control points with heights and a CRS.")

@@ -75,7 +75,10 @@ class OziMap(Reader):
 
 
 def _degrees(path: Path, line: int, degrees: str, minutes: str, hemisphere: str) -> str:
-    """Return degrees as a number, in text."""
+    """Return degrees, minutes and side as one number, in text.
+
+    Raises TermselError if they are none.
+    """
     try:
         return repr(_SIGN[hemisphere.upper()] * (float(degrees) + float(minutes or 0) / 60))
     except (KeyError, ValueError):
@@ -85,7 +88,7 @@ def _degrees(path: Path, line: int, degrees: str, minutes: str, hemisphere: str)
 
 
 def _crs(datum: str, kinds: set[str], zones: set[tuple[str, str]]) -> str:
-    """Return the CRS of longitude and latitude or UTM on WGS 84, "" where it is another."""
+    """Return the CRS of longitude and latitude or UTM on WGS84; "" of any other."""
     if not datum.upper().replace(" ", "").startswith("WGS84"):
         return ""
     if kinds == {"deg"}:
@@ -115,7 +118,7 @@ class OziMapWriter(PointsWriter):
         return super().accepts(result) and len(chosen_points(result)) <= _MOST
 
     def write(self, result: Result, path: Path) -> None:
-        """Write the map."""
+        """Write the points as the calibration of a map, in UTM or degrees on WGS84."""
         self.require(result, path)
         used = chosen_points(result)
         points, zone = on_wgs84(used, result.features.crs)
@@ -136,7 +139,8 @@ class OziMapWriter(PointsWriter):
 
 def _row(number: int, row: float, column: float, x: float, y: float,
          zone: tuple[int, bool] | None) -> str:
-    """Return the line of a point."""
+    """Return the line of a point; `zone` is that of UTM and whether it is south, None for degrees.
+    """
     beginning = f"Point{number:02d},xy,{column!r},{row!r},in"
     if zone is None:
         latitude = _degrees_and_side(y, "NS")
@@ -147,6 +151,6 @@ def _row(number: int, row: float, column: float, x: float, y: float,
 
 
 def _degrees_and_side(angle: float, hemispheres: str) -> str:
-    """Return degrees, minutes and side."""
+    """Return degrees, minutes and side of an angle [deg] with commas between, such as 48,30.5,N."""
     degrees = int(abs(angle))
     return f"{degrees},{(abs(angle) - degrees) * 60!r},{hemispheres[angle < 0]}"

@@ -92,7 +92,10 @@ class PciGcp(Reader):
                           crs="")
 
     def _fields(self, path: Path, first: list[str]) -> list[str]:
-        """Return what the fields of a line are, by the option or by their number."""
+        """Return the names of the fields of a line, by the option layout or by their number.
+
+        Raises TermselError if neither tells them.
+        """
         layout = re.sub(r"[\s,]", "", str(self.options["layout"]))
         if not layout:
             # A status of a letter ends the row, if there is one.
@@ -113,7 +116,7 @@ class PciGcp(Reader):
 
 
 def _rows(text: str) -> list[tuple[int, list[str]]]:
-    """Return number and fields of the lines that are no comments."""
+    """Return number and fields of the lines that are neither blank nor comments."""
     rows = []
     for number, line in enumerate(text.splitlines(), 1):
         if line.strip() and not line.lstrip().startswith(_COMMENT):
@@ -122,6 +125,7 @@ def _rows(text: str) -> list[tuple[int, list[str]]]:
 
 
 def _are_numbers(cells: list[str]) -> bool:
+    """Return whether all cells are finite numbers or degrees, minutes and seconds."""
     try:
         return bool(np.isfinite([float(cell) for cell in cells if not _DMS.fullmatch(cell)]).all())
     except ValueError:
@@ -144,7 +148,7 @@ class PciGcpWriter(PointsWriter):
         return bool(len(result.fit.control.points))
 
     def write(self, result: Result, path: Path) -> None:
-        """Write the text."""
+        """Write a line for each point: id, pixel, line, x, y, z if all are known, and status."""
         self.require(result, path)
         points = chosen_points(result)
         # All rows have the same fields: one unknown height leaves out all.
@@ -161,6 +165,7 @@ class PciGcpWriter(PointsWriter):
 
 
 def _quote(name: str) -> str:
+    """Return a name in quotes if it would otherwise be no single field."""
     name = guarded(name.replace('"', "'"))
     return f'"{name}"' if _FIELD.findall(name) != [("", name)] or name.startswith(_COMMENT) \
         else name

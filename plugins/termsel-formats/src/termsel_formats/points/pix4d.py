@@ -105,7 +105,7 @@ class Pix4dMarks(Reader):
                                        ground.stack("x", "y", "z"), None, ()), crs="")
 
     def parts(self, path: Path) -> dict[str, dict[str, Any]]:
-        """Return the images of the marks, each of which is a part."""
+        """Return the options for each image of the marks; {} if there is only one."""
         images = dict.fromkeys(row[0] for _, row in _rows(path, (4, 5), "image,label,x,y"))
         return {image: {"image_name": image} for image in images} if len(images) > 1 else {}
 
@@ -115,7 +115,8 @@ def _ground_file(path: Path) -> Path:
 
 
 def _is_header(cells: list[str]) -> bool:
-    """Return whether a row has names of columns: a row of marks or places has numbers."""
+    """Return whether a row has names of columns, as none of its cells after the first is a number.
+    """
     return not any(map(is_number, cells[1:]))
 
 
@@ -126,7 +127,11 @@ def _names_latitude(path: Path) -> bool:
 
 
 def _rows(path: Path, widths: tuple[int, ...], form: str) -> list[tuple[int, list[str]]]:
-    """Return number and cells of the lines of a file."""
+    """Return number and cells of the rows of a table, without its header.
+
+    Raises TermselError for a row with none of the `widths`, and without rows; `form` says how rows
+    are.
+    """
     rows: list[tuple[int, list[str]]] = []
     try:
         for number, row in enumerate(csv.reader(read_text(path).splitlines()), 1):
@@ -162,7 +167,7 @@ class Pix4dMarksWriter(PointsWriter):
         return path, _ground_file(path)
 
     def write(self, result: Result, path: Path) -> None:
-        """Write both files."""
+        """Write the file of marks and that of the ground, control alone."""
         self.require(result, path)
         # Nothing in these files distinguishes a check point from control.
         checked = checked_points(result).without_checks()

@@ -43,7 +43,10 @@ class WorldFile(Reader):
             return False
 
     def read(self, path: Path) -> FeatureSet:
-        """Return the points; errors name file and line."""
+        """Return the corners and the middle of the image as points; errors name file and line.
+
+        Raises TermselError without the image, which tells its size.
+        """
         numbers = []
         for i, line in enumerate(read_text(path).splitlines(), 1):
             try:
@@ -97,7 +100,10 @@ class WorldFileWriter(PointsWriter):
         return True
 
     def write(self, result: Result, path: Path) -> None:
-        """Write the six numbers."""
+        """Write the six numbers of the affine map that comes nearest to the model.
+
+        Raises TermselError if none comes near it.
+        """
         fitted = result.fit
         refuse_sky(fitted, "an affine map")
         ground = places_of(fitted)
@@ -126,5 +132,5 @@ class WorldFileWriter(PointsWriter):
 
 
 def _into_image(ground: FloatArray, numbers: tuple[float, ...], matrix: FloatArray) -> FloatArray:
-    """Return where a world file puts ground places: line and sample."""
+    """Return where a world file puts ground places (n, 2 or 3): line and sample (n, 2)."""
     return np.asarray(np.linalg.solve(matrix, (ground[:, :2] - numbers[4:]).T).T)

@@ -32,7 +32,7 @@ class PointsWriter(Writer):
         return bool(len(result.fit.control.points)) and result.features.crs != LOCAL
 
     def require(self, result: Result, path: Path) -> None:
-        """Refuse a result that this format does not hold."""
+        """Raise TermselError for a result that this format does not hold."""
         if not self.accepts(result):
             raise TermselError(f"this result cannot be written as {self.name}", file=path,
                                hint=f"The format requires {self.needs}.")
@@ -57,7 +57,7 @@ class CheckedPoints:
     left_out: tuple[str, ...]
 
     def without_checks(self) -> CheckedPoints:
-        """Return the control alone."""
+        """Return the control alone; check points are added to those left out."""
         is_control = np.logical_not(np.array(self.is_check, dtype=np.bool_))
         checks = tuple(f"{name} (check point)" for name, is_check in zip(
             self.points.ids, self.is_check, strict=True) if is_check)
@@ -90,7 +90,7 @@ def checked_points(result: Result, *, with_heights: bool = False) -> CheckedPoin
 
 
 def require_points(checked: CheckedPoints, path: Path, needs: str) -> None:
-    """Refuse to write a file without points."""
+    """Raise TermselError if there is no point to write, with why each was left out."""
     if not len(checked.points):
         raise TermselError(f"no point of this result can be written: {', '.join(checked.left_out)}",
                            file=path, hint=f"The format requires {needs}.")

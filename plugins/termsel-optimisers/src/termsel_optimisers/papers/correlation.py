@@ -62,7 +62,7 @@ def activation_probabilities(sums: FloatArray, scale: float, offset: float) -> F
 
 
 def seeded_population(probability: FloatArray, n: int, rng: np.random.Generator) -> BoolArray:
-    """Return n chromosomes in which gene i is on exactly round(P_i n) times, at random."""
+    """Return n chromosomes (n, g) in which gene i is on exactly round(P_i n) times, at random."""
     # The first round(P_i n) of each column, which are then put in a random order.
     on = np.arange(n)[:, None] < np.rint(probability * n)
     return rng.permuted(on, axis=0)  # each gene's column by itself
@@ -115,7 +115,7 @@ class CorrelationSeededGA(GeneticAlgorithm):
                                name=stated[0])
 
     def toolbox(self, problem: Problem, rng: np.random.Generator) -> base.Toolbox:
-        """Return the toolbox of the GA with another population."""
+        """Return the toolbox of the GA with a first population that follows the correlations."""
         o = self.options
         box = super().toolbox(problem, rng)
         # The design matrix is that of all genes over all control, whatever is forced.

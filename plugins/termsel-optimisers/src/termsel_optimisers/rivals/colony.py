@@ -34,7 +34,7 @@ def renew(pheromone: FloatArray, deposited: FloatArray, evaporation: float, tau_
 
 
 def grafts(stock: BoolArray, scion: BoolArray, genome: Genome) -> BoolArray:
-    """Return one selection with each segment in turn replaced by that of another (segments, g)."""
+    """Return copies of `stock` (g,), each with one segment of `scion`, shape (segments, g)."""
     grafted = np.repeat(stock[None], len(genome.segments), axis=0)
     for row, columns in zip(grafted, genome.slices().values(), strict=True):
         row[columns] = scion[columns]
@@ -42,13 +42,16 @@ def grafts(stock: BoolArray, scion: BoolArray, genome: Genome) -> BoolArray:
 
 
 def settled(chance: FloatArray, limit: float) -> bool:
-    """Return True if the mean chance of the rarer states of free genes is below a limit."""
+    """Return whether the mean chance of the rarer states of free genes is below a limit.
+
+    `chance` (free,) is that of being on; False if no gene is free.
+    """
     return len(chance) > 0 and bool(np.minimum(chance, 1.0 - chance).mean() < limit)
 
 
 def _best(n: int, ants_1: BoolArray, evaluation_1: Evaluation, ants_2: BoolArray,
           evaluation_2: Evaluation) -> tuple[BoolArray, Evaluation]:
-    """Return the best n of two groups, from best to worst."""
+    """Return the best n of two groups of ants, from best to worst, and their evaluation."""
     evaluation = Evaluation(np.concatenate([evaluation_1.objectives, evaluation_2.objectives]),
                             np.concatenate([evaluation_1.violation, evaluation_2.violation]))
     first = evaluation.order()[:n]

@@ -36,7 +36,12 @@ class FigureCondition(Criterion):
                                        "1.", int, 1, 1_000_000),)
 
     def score(self, fits: Fits) -> FloatArray:
-        """Return the figure of each model, infinite without enough redundancy."""
+        """Return the predicted error over the image [px] of each model.
+
+        Infinite without redundancy.
+
+        Raises TermselError for a model that corrects its predictions by the control.
+        """
         if fits.model.corrects:
             raise TermselError(f"criterion {self.name!r} cannot judge model {fits.model.name!r}, "
                                "which corrects its predictions by the control",
@@ -58,7 +63,10 @@ class FigureCondition(Criterion):
         return figures
 
     def _variance(self, fits: Fits, i: int, rows: FloatArray) -> FloatArray:
-        """Return the variance of model i in each row of the places, in scaled units."""
+        """Return the variance of model i in each row of the places (2n,), in scaled units.
+
+        Infinite if it has too little redundancy, or its terms depend on each other.
+        """
         total = np.zeros(len(rows))
         for system in fits.parts:
             on = fits.terms[i, system.columns]

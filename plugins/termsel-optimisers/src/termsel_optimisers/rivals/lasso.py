@@ -128,7 +128,7 @@ class Lasso(TermRegression):
     )
 
     def choose(self, regression: Regression) -> BoolArray:
-        """Return the chosen columns."""
+        """Return the columns (k,) in use at the penalty with the least held-out error."""
         path = _path(regression, np.ones(len(regression.target), dtype=bool))
         if not path:
             return regression.kept
@@ -145,7 +145,10 @@ class Lasso(TermRegression):
 
 
 def _path(regression: Regression, rows: BoolArray) -> list[PathSegment]:
-    """Return the path of the free columns over some of the rows."""
+    """Return the path of the free columns over the rows (m,) in use.
+
+    [] if there is no room for any.
+    """
     standard = regression.standardised(regression.free, regression.kept, rows)
     # A redundancy of 1 is left within a fold, too.
     room = min(regression.most, int(rows.sum()) - 1) - int(regression.kept.sum())
@@ -153,7 +156,7 @@ def _path(regression: Regression, rows: BoolArray) -> list[PathSegment]:
 
 
 def _selection(regression: Regression, segment: PathSegment) -> BoolArray:
-    """Return the columns in use on a segment, with the kept ones."""
+    """Return the columns (k,) in use on a segment of the path, with those always kept."""
     selection = regression.kept.copy()
     selection[np.flatnonzero(regression.free)[segment.active]] = True
     return selection

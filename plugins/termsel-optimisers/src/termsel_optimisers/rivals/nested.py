@@ -39,7 +39,7 @@ class NestedRegression(TermRegression):
     )
 
     def choose(self, regression: Regression) -> BoolArray:
-        """Return the chosen columns."""
+        """Return the chosen columns (k,): added one by one, until errors are small and stay so."""
         thumb = self.options["thumb"] / regression.pixels
         selection = regression.kept.copy()
         errors = rational_errors(regression, selection)
@@ -61,12 +61,12 @@ class NestedRegression(TermRegression):
 
 
 def rms(errors: FloatArray) -> FloatArray:
-    """Return the root mean square of each target's errors, shape (r,)."""
+    """Return the root mean square of each target's errors (m, r), shape (r,)."""
     return np.asarray(np.sqrt((errors**2).mean(axis=0)))
 
 
 def rational_errors(regression: Regression, selection: BoolArray) -> FloatArray:
-    """Return the errors of image coordinates after adjusting the chosen columns, (m, r)."""
+    """Return the scaled errors (m, r) of image coordinates after adjusting chosen columns (k,)."""
     x = np.zeros((len(selection), regression.target.shape[1]))
     lengths = np.linalg.norm(regression.columns[:, selection], axis=0)
     solution = np.linalg.lstsq(regression.unit[:, selection], regression.target,

@@ -52,11 +52,14 @@ class Ransac(Method):
     seed: int = 1
 
     def declines(self, data: FitData) -> str | None:
-        """Return why it is not for lines."""
+        """Return that it takes points alone if there are lines; None otherwise."""
         return f"{self.title} takes points alone" if len(data.features.lines) else None
 
     def fit(self, data: FitData) -> Fit:
-        """Fit the polynomial to the points that agree."""
+        """Return the fit of the polynomial to the points that agree.
+
+        Raises Undetermined if too few do.
+        """
         model = self.model(data.heights, len(data))
         ready = model.prepared(data.scaling, data.features.crs)
         terms = np.ones(len(model.terms), dtype=bool)
@@ -73,7 +76,10 @@ class Ransac(Method):
         return held_out_by_refits(self.fit, fitted.control, heights=fitted.model.uses_height)
 
     def _agreeing(self, model: RationalModel, data: FitData) -> BoolArray:
-        """Return which points vote for the polynomial that the most vote for, shape (n,)."""
+        """Return which points vote for the polynomial that the most vote for, shape (n,).
+
+        Raises Undetermined if points are too few, or no more agree than determine the polynomial.
+        """
         scaled = data.scaled.points
         # Lines and samples have the same columns, as each polynomial has its own coefficients.
         design = model.blocks(scaled.ground).line

@@ -37,7 +37,10 @@ class ScatterMatrix(TermRegression):
                                   "variance inflation of 10,000.", float, 1e-10, 1.0))
 
     def choose(self, regression: Regression) -> BoolArray:
-        """Return the chosen columns; refuse limits at which terms leave more easily than enter."""
+        """Return the chosen columns (k,), which enter and leave by F tests.
+
+        Raises TermselError for limits at which terms leave more easily than they enter.
+        """
         f_in = self.options["f_in"]
         f_out = self.options["f_out"]
         if f_out > f_in:
@@ -117,7 +120,10 @@ def residual_square_of(regression: Regression, selection: BoolArray) -> float:
 
 
 def scatter_of(regression: Regression) -> tuple[FloatArray, FloatArray]:
-    """Return the scatter matrix of columns and targets, (k + r, k + r), and lengths (k,)."""
+    """Return the scatter matrix (k + r, k + r) of columns and targets, and lengths (k,).
+
+    All are scaled to length 1 off the constant; a length of 0 marks a column that depends on it.
+    """
     columns = np.column_stack([regression.unit, regression.target])
     if regression.constant.any():
         constant = regression.unit[:, regression.constant]
@@ -133,7 +139,7 @@ def scatter_of(regression: Regression) -> tuple[FloatArray, FloatArray]:
 
 
 def swept(scatter: FloatArray, pivot: int) -> FloatArray:
-    """Return the matrix after the elimination transformation of a pivot; twice is once undone."""
+    """Return the matrix after the elimination transformation of a pivot, which undoes itself."""
     d = scatter[pivot, pivot]
     row = scatter[pivot].copy()
     column = scatter[:, pivot].copy()
@@ -146,7 +152,8 @@ def swept(scatter: FloatArray, pivot: int) -> FloatArray:
 
 
 def explained(scatter: FloatArray, k: int) -> FloatArray:
-    """Return the part of the targets that each of k columns adds, or takes away if it is in use."""
+    """Return the part of the targets' square that each of k columns adds, or would leave with it.
+    """
     diagonal = np.diag(scatter)[:k]
     # Gain of column i: sum over the targets of s_it^2 / s_ii.
     cross = -scatter[:k, k:] * scatter[k:, :k].T

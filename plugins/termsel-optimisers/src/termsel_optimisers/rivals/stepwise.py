@@ -63,7 +63,7 @@ def significance(regression: Regression, change: float, square: float,
 
 
 def with_column(selection: BoolArray, j: int, on: bool) -> BoolArray:
-    """Return the choice with column j on or off."""
+    """Return a copy of a choice (k,) with column j on or off."""
     changed = selection.copy()
     changed[j] = on
     return changed
@@ -95,7 +95,10 @@ class Stepwise(TermRegression):
     )
 
     def choose(self, regression: Regression) -> BoolArray:
-        """Return the chosen columns; refuse levels at which terms leave more easily than enter."""
+        """Return the chosen columns (k,), which enter and leave by their significance.
+
+        Raises TermselError for levels at which terms leave more easily than they enter.
+        """
         alpha_in = self.options["alpha_in"]
         alpha_out = self.options["alpha_out"]
         if alpha_in > alpha_out:
@@ -108,14 +111,17 @@ class Stepwise(TermRegression):
             grown = self._grow(regression, selection, alpha_in)
             if grown is None:
                 return selection
-            grown = _drop(regression, grown, alpha_out)
+            grown = _prune(regression, grown, alpha_out)
             if grown.tobytes() in visited:  # entering and leaving would go on for ever
                 return selection
             visited.add(grown.tobytes())
             selection = grown
 
     def _grow(self, regression: Regression, selection: BoolArray, alpha: float) -> BoolArray | None:
-        """Return the choice with the best further column, or None if none enters."""
+        """Return the choice with the best further column.
+
+        None if none is significant or there is no room.
+        """
         count = int(selection.sum())
         gain, square = gains(regression, selection)
         gain[~regression.free] = 0.0
@@ -132,8 +138,8 @@ class Stepwise(TermRegression):
         return grown
 
 
-def _drop(regression: Regression, selection: BoolArray, alpha: float) -> BoolArray:
-    """Return the choice after dropping insignificant columns, one at a time."""
+def _prune(regression: Regression, selection: BoolArray, alpha: float) -> BoolArray:
+    """Return the choice without insignificant columns, dropped one at a time, the weakest first."""
     while selection.sum() > regression.least:
         loss, square = losses(regression, selection)
         loss[~regression.free] = np.inf  # columns that are always in use
@@ -191,8 +197,8 @@ class TTest(TermRegression):
     )
 
     def choose(self, regression: Regression) -> BoolArray:
-        """Return the chosen columns."""
+        """Return the chosen columns (k,): as many as can be tested, less the insignificant ones."""
         m = len(regression.target)
         # As many as possible, and yet enough redundancy for the first tests.
         max_columns = min(regression.most, m - (self.options["redundancy"] or ceil(m / 4)))
-        return _drop(regression, independent(regression, max_columns), self.options["alpha"])
+        return _prune(regression, independent(regression, max_columns), self.options["alpha"])

@@ -67,7 +67,7 @@ class TransgenicGA(GeneticAlgorithm):
 
     def children(self, box: base.Toolbox, genes: BoolArray, evaluation: Evaluation,
                  n: int) -> BoolArray:
-        """Return n children of parents, some of them transgenic."""
+        """Return n children (n, g) of selected parents, some with the genes of good chromosomes."""
         parents = genes[box.select(evaluation.order(), n)]
         coefficient = qualification(genes, evaluation)
         limit = NormalDist().inv_cdf(1.0 - self.options["alpha"] / 2.0)

@@ -48,7 +48,7 @@ def fgdc_xml(report: Quality) -> str:
 
 
 def _bounds_and_use(west: str, east: str, south: str, north: str) -> list[Element]:
-    """Return what the standard requires of any data set, as far as a georeference shows it."""
+    """Return bounds, keywords and constraints, which the standard requires; unknown ones say so."""
     return [_x("spdom", _x("bounding", _x("westbc", west), _x("eastbc", east),
                            _x("northbc", north), _x("southbc", south))),
             _x("keywords", _x("theme", _x("themekt", _NONE), _x("themekey", "imagery"))),
@@ -56,12 +56,14 @@ def _bounds_and_use(west: str, east: str, south: str, north: str) -> list[Elemen
 
 
 def _process(report: Quality) -> str:
+    """Return a sentence on what was done, by which software and with which settings."""
     software = ", ".join(f"{name} {version}" for name, version in report.software.items())
     settings = "; ".join(f"{name}: {value}" for name, value in report.parameters.items())
     return f"{report.lineage} Software: {software}. Settings: {settings}."
 
 
 def _source(source: Source, short: str) -> Element:
+    """Return a source with its checksum as an element; `short` is what others call it."""
     return _x("srcinfo", _x("srccite", _citation(source.name, "", _UNKNOWN)),
               _x("typesrc", "digital file"), _x("srctime", _when(_UNKNOWN),
                                                 _x("srccurr", _UNKNOWN)),
@@ -78,6 +80,7 @@ def _when(date: str) -> Element:
 
 
 def _contact(organisation: str) -> Element:
+    """Return the organisation as an element; what is not known says so."""
     return _x("cntinfo", _x("cntorgp", _x("cntorg", organisation or _UNKNOWN)),
               _x("cntaddr", _x("addrtype", _UNKNOWN), _x("city", _UNKNOWN), _x("state", _UNKNOWN),
                  _x("postal", _UNKNOWN)),

@@ -47,7 +47,7 @@ def iso_xml(report: Quality) -> str:
 
 
 def _elements(report: Quality) -> list[Element]:
-    """Return an element of data quality for each figure, and one with what can be stated."""
+    """Return an element of data quality for each figure, and one with the statements, if any."""
     # Figures on the ground are external accuracy, those in the image accuracy of the grid.
     elements = [_x("mdq:DQ_AbsoluteExternalPositionalAccuracy" if measure.unit == "m"
                    else "mdq:DQ_GriddedDataPositionalAccuracy", _measure(measure),
@@ -117,6 +117,7 @@ def _lineage(report: Quality) -> Element:
 
 
 def _source(source: Source) -> Element:
+    """Return a source with its checksum as an element."""
     return _x("mrl:LI_Source", _string("mrl:description", source.description),
               _x("mrl:sourceCitation", _x(
                   "cit:CI_Citation", _string("cit:title", source.name),
@@ -124,11 +125,13 @@ def _source(source: Source) -> Element:
 
 
 def _scope(report: Quality) -> Element:
+    """Return the extent that figures are of, the whole data set, as an element."""
     return _x("mcc:MD_Scope", _x("mcc:level", _code("mcc:MD_ScopeCode", "dataset")),
               _x("mcc:extent", _extent(report)))
 
 
 def _extent(report: Quality) -> Element:
+    """Return the bounds in longitude and latitude as an element."""
     names = ("westBoundLongitude", "eastBoundLongitude", "southBoundLatitude", "northBoundLatitude")
     return _x("gex:EX_Extent", _x("gex:geographicElement", _x(
         "gex:EX_GeographicBoundingBox", *(
@@ -137,6 +140,7 @@ def _extent(report: Quality) -> Element:
 
 
 def _responsible(name: str, role: str) -> Element:
+    """Return an organisation with a role as an element; without a name that is unknown."""
     # The schema wants a name, or why there is none.
     party = _string("cit:name", name) if name else \
         _x("cit:name", attributes={"gco:nilReason": "unknown"})
@@ -145,17 +149,20 @@ def _responsible(name: str, role: str) -> Element:
 
 
 def _citation(title: str, edition: str = "") -> Element:
+    """Return a title, with its edition if that is not "", as an element."""
     return _x("cit:CI_Citation", _string("cit:title", title),
               _string("cit:edition", edition) if edition else None)
 
 
 def _identifier(code: str, space: str = "", version: str = "") -> Element:
+    """Return a code, with its space and version if they are not "", as an element."""
     return _x("mcc:MD_Identifier", _string("mcc:code", code),
               _string("mcc:codeSpace", space) if space else None,
               _string("mcc:version", version) if version else None)
 
 
 def _date(when: str) -> Element:
+    """Return the date of creation as an element."""
     return _x("cit:CI_Date", _time("cit:date", when),
               _x("cit:dateType", _code("cit:CI_DateTypeCode", "creation")))
 
@@ -169,12 +176,14 @@ def _string(name: str, text: str) -> Element:
 
 
 def _code(name: str, value: str) -> Element:
+    """Return a value of one of the standard's lists as an element."""
     # A value of a list is given as text and, for programs, by the list that it is of.
     return _x(name, value, attributes={
         "codeList": f"{_LISTS}#{name.partition(':')[2]}", "codeListValue": value})
 
 
 def _unit(unit: str) -> Element:
+    """Return the unit of a figure, m or px, as an element."""
     # Metres have a definition at OGC; px get one of their own.
     if unit == "m":
         return _x("mdq:valueUnit", attributes={"xlink:href": _METRE})

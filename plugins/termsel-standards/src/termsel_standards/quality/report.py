@@ -183,7 +183,8 @@ def quality_of(result: Result, title: str = "", organisation: str = "",
 
 
 def _measures(result: Result) -> tuple[Measure, ...]:
-    """Return the figures of the independent points, each with its meaning."""
+    """Return the figures of the independent points, each with its meaning; () without such points.
+    """
     if result.accuracy is None:
         return ()
     image = result.accuracy.image
@@ -207,7 +208,7 @@ def _measures(result: Result) -> tuple[Measure, ...]:
 
 
 def _predicted_figures(prediction: Prediction) -> tuple[Measure, ...]:
-    """Return the figures of a predicted accuracy, named as such."""
+    """Return the figures of a predicted accuracy, named as predicted."""
     found = f"predicted {prediction.method}, with a {100 * prediction.level:g} % interval"
     measures = []
     if prediction.metres is not None:
@@ -237,7 +238,7 @@ def _statements(result: Result, prediction: Prediction | None) -> tuple[str, ...
 
 
 def file_sha256(path: Path) -> str:
-    """Return the checksum of a file."""
+    """Return the SHA-256 of a file in hexadecimal; raises TermselError if it cannot be read."""
     # Device files and pipes are refused: their reading may never end.
     digest = hashlib.sha256()
     try:
