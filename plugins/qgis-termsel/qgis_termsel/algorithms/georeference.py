@@ -120,7 +120,7 @@ class Georeference(Algorithm):
 
     def processAlgorithm(self, parameters, context, feedback):
         """Run `termsel run` and return its outputs."""
-        return self._run(self._points(parameters, context) + self._more(parameters, context),
+        return self._run(self._points(parameters, context) + self._options(parameters, context),
                          parameters, context, feedback)
 
     def _points(self, parameters, context):
@@ -144,7 +144,7 @@ class Georeference(Algorithm):
         path, crs = points_csv(source, fields)
         return ["--points", path, "--crs", crs]
 
-    def _more(self, parameters, context):
+    def _options(self, parameters, context):
         """Return the arguments of DEM, image, RPC, lines and model; [] if none is given."""
         arguments = []
         dem = self.parameterAsRasterLayer(parameters, "DEM", context)

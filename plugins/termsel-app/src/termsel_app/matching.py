@@ -132,14 +132,14 @@ def _windows(session: Session, prediction: Prediction, record: Record) -> tuple[
     # and point is taken off.
     on_map += session.places.to_map([record["ground"][:2]])[0] - at_point
     for raster in session.maps.rasters:
-        map_window = _seen(raster, on_map, session.maps.shown, width)
+        map_window = _grey_at(raster, on_map, session.maps.shown, width)
         if map_window[1].mean() > 0.5:
             return Window(*_grey(picture)), Window(*map_window)
     raise TermselError("no raster of the map shows this position",
                        hint="Refine points that lie on a raster; keep this one as it was clicked.")
 
 
-def _seen(raster: MapRaster, on_map: FloatArray, page_crs: str, width: int) -> tuple[Any, Any]:
+def _grey_at(raster: MapRaster, on_map: FloatArray, page_crs: str, width: int) -> tuple[Any, Any]:
     """Return the grey that a raster shows at places that a grid of nodes gives, and where it does.
 
     Interpolated: the nearest pixels would be off by up to half of one.

@@ -151,7 +151,7 @@ def prediction_of(result: Result, features: FeatureSet, places: Places) -> Predi
 
     A result has no error estimate (its sigma is NaN) where its equations have no redundancy, such
     as those of three points and an affine polynomial. Then a `helmert2d` fit of the points to map
-    coordinates stands in: its four parameters leave two equations of six, which tell how far the
+    coordinates stands in: its four parameters leave two equations of six, which show how far the
     points are from a similarity. If that fit fails, it is the result again.
     """
     points = features.points

@@ -119,7 +119,7 @@ class Guarded(RequestHandler):
             raise HTTPError(403)
 
     def write_error(self, status_code: int, **_: Any) -> None:
-        """Answer with the status alone, so that nothing is told to a stranger."""
+        """Answer with the status alone, so that a stranger learns nothing."""
         self.finish()
 
     def log_exception(self, *details: Any) -> None:
@@ -201,7 +201,7 @@ class State(Guarded):
 
 
 def setting(session: Session, pages: Pages) -> dict[str, Any]:
-    """Return what the page is told once, as it does not change: image, map, files and outputs."""
+    """Return what the page gets once, as it does not change: image, map, files and outputs."""
     size = session.size
     box = pages.box
     files_given = session.files
@@ -364,7 +364,7 @@ class Events(WebSocketHandler):
             raise HTTPError(403)
 
     def write_error(self, status_code: int, **_: Any) -> None:
-        """Answer with the status alone, so that nothing is told to a stranger."""
+        """Answer with the status alone, so that a stranger learns nothing."""
         self.finish()
 
     def log_exception(self, *details: Any) -> None:

@@ -153,7 +153,7 @@ class Session:
 
     @property
     def size(self) -> tuple[int, int] | None:
-        """Lines and samples of the image; None if neither an image nor an option tells them."""
+        """Lines and samples of the image; None if neither an image nor an option states them."""
         return self.files.size if self.image is None else (self.image.height, self.image.width)
 
     def box(self) -> Box:
@@ -233,7 +233,7 @@ class Session:
             raise
 
     def _changed(self) -> None:
-        """Count the change, have the control judged, and tell the pages of it."""
+        """Count the change, have the control judged, and notify the pages."""
         self.version += 1
         self.judge()
         self.tell({"kind": "control", **self.state()})
@@ -454,7 +454,7 @@ _WITHOUT_HEADER = {3: ("id", "x", "y"), 4: ("id", "x", "y", "z"),
 
 
 def _points_of_paste(text: str) -> Iterator[Record]:
-    """Yield the points of a table that was pasted, columns told by a header or by their number.
+    """Yield the points of a table that was pasted, columns known by a header or by their number.
 
     Raises TermselError with the row at fault.
     """

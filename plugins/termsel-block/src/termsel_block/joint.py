@@ -282,13 +282,13 @@ def heights_of(block: Block, frame: Frame, dem: Surface | None) -> Heights:
         spread = max(3 * float(control[:, 2].std()), 100.0)
     over = control[:, 2] - (mean if dem is None else dem(control[:, :2]))
     # A DEM has no height off its raster, and points of the DEM show nothing of it.
-    tells = np.isfinite(over) & stated
+    is_usable = np.isfinite(over) & stated
     # Rows of images point to control; what shows no height is -1.
     # -1 stays.
-    renamed = np.append(np.where(tells, np.cumsum(tells) - 1, -1), -1)
+    renamed = np.append(np.where(is_usable, np.cumsum(is_usable) - 1, -1), -1)
     crowd = np.median(np.bincount(block.ties.image, minlength=len(block.images)))
     return Heights(frame, mean, spread, dem, ControlHeights(
-        over[tells], tuple(renamed[rows] for rows in of_rows)), float(crowd))
+        over[is_usable], tuple(renamed[rows] for rows in of_rows)), float(crowd))
 
 
 def _control_places(block: Block) -> tuple[FloatArray, BoolArray, list[IntArray]]:

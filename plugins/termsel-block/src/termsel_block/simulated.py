@@ -190,6 +190,7 @@ def _exact_scanner(i: int, size: int, gsd: float, views: Sequence[tuple[float, f
     end = size * sensor.line_period / 2
 
     def slow(angle: Angle) -> Angle:
+        """Return an angle with a random rate and acceleration added."""
         constant = angle.drift[0] if angle.drift else 0.0
         rate = angle.drift[1] if len(angle.drift) > 1 else 0.0
         return Angle((constant, rate + rng.normal(0, 4) * ifov / end,

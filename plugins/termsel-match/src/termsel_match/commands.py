@@ -438,6 +438,7 @@ def bar(title: str, quiet: bool) -> Iterator[Callable[[float], None] | None]:
     last_report = monotonic()
 
     def say(share: float) -> None:
+        """Print the share that is done, unless that was printed less than `EVERY` seconds ago."""
         nonlocal last_report
         if monotonic() - last_report >= EVERY:
             last_report = monotonic()

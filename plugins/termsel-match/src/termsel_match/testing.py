@@ -130,6 +130,7 @@ def _pair(seed: int) -> tuple[Window, Window]:
     ground = cv2.GaussianBlur(ground, (0, 0), 0.8) + 500
 
     def seen(corner: tuple[int, int], size: int) -> Window:
+        """Return a square window of the ground from a corner, with noise of its own."""
         first_line, first_sample = corner
         pixels = ground[first_line:first_line + size, first_sample:first_sample + size] \
             + rng.normal(0, 2, (size, size)).astype(np.float32)

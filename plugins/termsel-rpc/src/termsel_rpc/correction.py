@@ -314,10 +314,10 @@ def _suspects(control: FitData, model: RpcAffine) -> Suspects | None:
                               for feature in range(n)]))
     blunders = chance > LIKELY
     return Suspects(blunders, blunders & (chance <= SURE), (chance > 0.5) & ~blunders, errors,
-                    _limits(sigma, n, float(reach)))
+                    _least_certain_errors(sigma, n, float(reach)))
 
 
-def _limits(sigma: FloatArray, n: int, reach: float) -> FloatArray:
+def _least_certain_errors(sigma: FloatArray, n: int, reach: float) -> FloatArray:
     """Return the errors (n,) [px] beyond which a feature is surely a blunder.
 
     `sigma` (n,) [px] is that of the predictions, `n` the number of features, and `reach` the

@@ -334,6 +334,7 @@ def _to_ground(crs: str, control_crs: str, control: FloatArray) -> Callable[[Flo
     middle = float(control[:, 0].min() + control[:, 0].max()) / 2
 
     def to_ground(xy: FloatArray) -> FloatArray:
+        """Return ground places (n, 3) of the map; NaN where the transformation has no value."""
         x, y = turn.transform(xy[:, 0], xy[:, 1])
         x, y = (np.where(np.isfinite(values), values, np.nan) for values in (x, y))
         # Longitudes are periodic: those next to the control are meant.

@@ -140,7 +140,7 @@ def _submit_cells(client: Client, waiting: deque[Cell], running: dict[Future, Ce
 
     # Tasks of their own with their checksum as the key: they travel once to each worker that needs
     # them, and come again from the scheduler where a worker with them is lost.
-    data = {key: client.submit(_held, feature_set, key=f"termsel-features-{key}", pure=True)
+    data = {key: client.submit(_keep, feature_set, key=f"termsel-features-{key}", pure=True)
             for key, feature_set in features.items()}
     ended: Queue[Future] = Queue()
     while running or (waiting and not stop()):
@@ -174,7 +174,7 @@ def _submit_cells(client: Client, waiting: deque[Cell], running: dict[Future, Ce
             yield failed(cell.key, f"{type(error).__name__}: {error}")
 
 
-def _held(features: FeatureSet) -> FeatureSet:
+def _keep(features: FeatureSet) -> FeatureSet:
     """Return the features: the task whose result stays on the workers."""
     return features
 

@@ -198,11 +198,11 @@ def stability(
 
 def _observer_of_all(observe: Observer, repetition: int, repeats: int) -> Observer:
     """Return an observer of one repetition, which passes to `observe` the share of all of them."""
-    def told(progress: Progress) -> None:
+    def observe_repetition(progress: Progress) -> None:
         observe(replace(progress, share=(repetition + (progress.share or 0.0)) / repeats,
                         what=f"repetition {repetition + 1} of {repeats}"))
 
-    return told
+    return observe_repetition
 
 
 def _with_drawn_roles(task: Task, rng: np.random.Generator) -> FeatureSet:

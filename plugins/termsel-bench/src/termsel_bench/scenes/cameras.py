@@ -295,6 +295,7 @@ def _jittering(rng: Generator, unit: float, half: float, drift: tuple[float, ...
 def _sensor_with_angles(sensor: Pushbroom, angles: list[Angle]) -> Pushbroom:
     """Return a sensor with `angles` (roll, pitch, yaw) added to its attitude."""
     def joined(before: Angle, added: Angle) -> Angle:
+        """Return the sum of two angles, with the jitter of the second."""
         drift = np.zeros(max(len(before.drift), len(added.drift)))
         drift[:len(before.drift)] += before.drift
         drift[:len(added.drift)] += added.drift

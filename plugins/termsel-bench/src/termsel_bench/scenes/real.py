@@ -63,7 +63,7 @@ def real_set(folder: Path) -> BenchSet:
     file = folder / DECLARATION
     # Licence, source and commit first: without them nobody may use the points.
     declared = _declaration_of(file)
-    licence = _inside(folder, declared["licence_file"], file)
+    licence = _file_of_set(folder, declared["licence_file"], file)
     if len(licence.decode("utf-8", "replace").strip()) < _LEAST_LICENCE:
         raise TermselError(f"{declared['licence_file']} is not the text of a licence",
                            file=str(file),
@@ -74,7 +74,7 @@ def real_set(folder: Path) -> BenchSet:
     if not re.fullmatch(r"[0-9a-f]{40}|[0-9a-f]{64}", declared["commit"]):
         raise TermselError(f"the commit {declared['commit']!r} is none", file=str(file),
                            hint="Give all 40 or 64 hexadecimal digits.")
-    checksum = hashlib.sha256(_inside(folder, declared["points"], file)).hexdigest()
+    checksum = hashlib.sha256(_file_of_set(folder, declared["points"], file)).hexdigest()
     if checksum != declared["sha256"]:
         raise TermselError(f"the SHA-256 of {declared['points']} is {checksum}, not the declared "
                            "one",
@@ -108,7 +108,7 @@ def _declaration_of(file: Path) -> dict[str, str]:
     return declared  # type: ignore[no-any-return]
 
 
-def _inside(folder: Path, name: str, file: Path) -> bytes:
+def _file_of_set(folder: Path, name: str, file: Path) -> bytes:
     """Return the content of a file of a set; raises TermselError if it is not in the set's folder.
     """
     path = folder / name

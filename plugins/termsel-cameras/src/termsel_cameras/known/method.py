@@ -189,7 +189,7 @@ class KnownCamera(Method):
         return 0.0
 
     def describe(self, fitted: Fit) -> str:
-        """Return sentences on what told the camera, its tilt, its height and its focal length."""
+        """Return sentences on the source of the camera, its tilt, height and focal length."""
         model = fitted.model
         assert isinstance(model, KnownFrame)
         interior = _interior(FitData.of(fitted.control))

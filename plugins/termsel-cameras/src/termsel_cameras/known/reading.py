@@ -39,8 +39,8 @@ class CameraOptions:
         stated = {name: str(options_given[name]) for name in NAMES
                   if options_given.get(name) is not None}
         attributes = features.points.attributes
-        tells = {"camera", "camera_focal"}
-        if image is not None and not tells & stated.keys() and not tells & attributes.keys():
+        sources = {"camera", "camera_focal"}
+        if image is not None and not sources & stated.keys() and not sources & attributes.keys():
             stated = {**of_exif(Path(image), features), **stated}
         if not stated:
             return features
@@ -59,9 +59,9 @@ class CameraOptions:
 
 
 def of_exif(image: Path, features: FeatureSet) -> dict[str, str]:
-    """Return what the EXIF of an image tells of its camera, by the names of options.
+    """Return what the EXIF of an image states of its camera, by the names of options.
 
-    Empty if it tells neither a known camera nor a focal length.
+    Empty if it states neither a known camera nor a focal length.
     """
     with open_raster(image) as raster:
         size = int(raster.height), int(raster.width)
@@ -79,7 +79,7 @@ def exif_tags(dataset: Any) -> dict[str, str]:
 
 
 def _focal_of(tags: Mapping[str, str], size: tuple[int, int]) -> dict[str, str]:
-    """Return the camera by its name, or else its focal length [px], as options; {} if not told."""
+    """Return the camera by its name, or else its focal length [px], as options; {} without both."""
     model = " ".join((tags.get("Make", ""), tags.get("Model", ""))).strip().lower()
     name = model.replace(" ", "-")
     if name in CAMERAS:

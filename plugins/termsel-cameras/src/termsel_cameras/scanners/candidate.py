@@ -62,7 +62,7 @@ class NamedScanner(Method):
 
         Raises Undetermined if they name none.
 
-        The track is told by whether lines run to the north or to the south.
+        The track follows from whether lines run to the north or to the south.
         """
         named = sensor_of(control)
         if not named:

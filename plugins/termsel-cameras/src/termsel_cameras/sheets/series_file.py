@@ -39,8 +39,7 @@ class Series:
                            "sheets": [asdict(sheet) for sheet in self.sheets]}, indent=1) + "\n"
 
     def paper_for(self, features: FeatureSet) -> Paper:
-        """Return what the other sheets tell of a sheet; one that shares a point with it is itself.
-        """
+        """Return the paper by the other sheets; one that shares a point with this is itself."""
         marks = set(marks_of(features))
         return paper_of([sheet for sheet in self.sheets if marks.isdisjoint(sheet.points)])
 
@@ -48,7 +47,7 @@ class Series:
 def series_of(sheets: Sequence[FeatureSet], projection: str) -> Series:
     """Return the series of sheets in their projection, "" for their own CRS.
 
-    Sheets that tell nothing are left out; independent check points take no part.
+    Sheets that show nothing are left out; independent check points take no part.
     """
     fitted = [replace(sheet, fit_crs=projection) if projection else sheet for sheet in sheets]
     sheets_that_tell = [sheet_of(without_independent(sheet)) for sheet in fitted]

@@ -261,7 +261,7 @@ def _lattice_of(arrays: Arrays, path: Path, meshes: int | None) -> FeatureSet:
     error = np.inf
     # Twice as dense as long as that lessens the error between the nodes by a fifth.
     for density in DENSITIES if meshes is None else (meshes,):
-        denser = _taken(arrays, density)
+        denser = _sampled(arrays, density)
         after = _error_between(arrays, denser)
         if lattice is None or after < GAIN * error:
             lattice = denser
@@ -303,7 +303,7 @@ def _crs_of(stated: str, heights: bool) -> str:
     return degrees if epsg == 4326 else stated if epsg is None else f"EPSG:{epsg}"
 
 
-def _taken(arrays: Arrays, meshes: int, shift: float = 0.0) -> tuple[FloatArray, FloatArray]:
+def _sampled(arrays: Arrays, meshes: int, shift: float = 0.0) -> tuple[FloatArray, FloatArray]:
     """Return image places (n, 2) and ground (n, 3) of some lines and columns of arrays.
 
     With a shift of a half they are those in the middle of the meshes.
@@ -341,7 +341,7 @@ def _error_between(arrays: Arrays, lattice: tuple[FloatArray, FloatArray]) -> fl
 
     image, ground = lattice
     meshes = max(len(np.unique(image[:, 0])) - 1, 1)
-    between, at = _taken(arrays, meshes, 0.5)
+    between, at = _sampled(arrays, meshes, 0.5)
     ground = ground.copy()
     ground[:, 2] = np.nan_to_num(ground[:, 2])  # of an array without heights
     at[:, 2] = np.nan_to_num(at[:, 2])

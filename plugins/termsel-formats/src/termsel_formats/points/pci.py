@@ -94,7 +94,7 @@ class PciGcp(Reader):
     def _fields(self, path: Path, first: list[str]) -> list[str]:
         """Return the names of the fields of a line, by the option layout or by their number.
 
-        Raises TermselError if neither tells them.
+        Raises TermselError if neither shows them.
         """
         layout = re.sub(r"[\s,]", "", str(self.options["layout"]))
         if not layout:

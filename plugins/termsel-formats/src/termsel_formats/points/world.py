@@ -45,7 +45,7 @@ class WorldFile(Reader):
     def read(self, path: Path) -> FeatureSet:
         """Return the corners and the middle of the image as points; errors name file and line.
 
-        Raises TermselError without the image, which tells its size.
+        Raises TermselError without the image, which has its size.
         """
         numbers = []
         for i, line in enumerate(read_text(path).splitlines(), 1):

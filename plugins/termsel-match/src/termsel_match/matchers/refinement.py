@@ -68,7 +68,7 @@ def refined(first: Layers, second: Layers, at_first: FloatArray, at_second: Floa
         With standard deviations, without those that leave their window or do not look alike.
     """
     pixels = np.round(at_first)
-    inside = _inside(first.known, pixels) & _inside(second.known, np.round(at_second), 3)
+    inside = _is_known(first.known, pixels) & _is_known(second.known, np.round(at_second), 3)
     usable = np.flatnonzero(inside)
     if not len(usable):
         none = np.empty((0, 2))
@@ -102,7 +102,7 @@ def refined(first: Layers, second: Layers, at_first: FloatArray, at_second: Floa
                    np.maximum(sigma[is_good], _MIN_MATCH_SIGMA))
 
 
-def _inside(is_known: Mask, at: FloatArray, margin: int = 0) -> Mask:
+def _is_known(is_known: Mask, at: FloatArray, margin: int = 0) -> Mask:
     """Return whether all pixels of the window of each place (n, 2) are known, (n,).
 
     `margin` [px] widens the windows.
