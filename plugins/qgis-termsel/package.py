@@ -26,10 +26,7 @@ WANTED = {"email": "authors = [{ name = ..., email = ... }]", "repository": "url
 
 
 def stated(project: dict) -> dict[str, str]:
-    """Return what a project table states of email, tracker, repository and homepage.
-
-    No empty texts.
-    """
+    """Return email, tracker, repository and homepage of a project table; only those it states."""
     # Keys of [project.urls] may have capitals.
     urls = {name.lower(): url for name, url in project.get("urls", {}).items()}
     emails = [author["email"] for author in project.get("authors", []) if "email" in author]

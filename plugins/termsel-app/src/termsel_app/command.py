@@ -82,8 +82,7 @@ def app(image: str | None, maps: tuple[str, ...], points: Path | None, lines: Pa
                       drivers=allowed_drivers()) as session:
 
         def started(address: str, first_address: str) -> None:
-            """Print the address of the page, and open it in the browser unless that is not wanted.
-            """
+            """Print the page's address, and open it in the browser unless that is not wanted."""
             echo(f"The page is at {address}")
             echo(f"Saved in {folder}; Ctrl-C ends it.", err=True)
             if not no_browser:

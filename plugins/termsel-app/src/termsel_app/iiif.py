@@ -46,8 +46,7 @@ class IiifImage:
 
 
 def is_iiif(name: str | None) -> bool:
-    """Return whether the name of an image is the address of an info.json of the IIIF; None is not.
-    """
+    """Return whether an image's name is the address of an info.json of the IIIF; None is not."""
     return name is not None and name.startswith(("http://", "https://")) and name.endswith(INFO)
 
 

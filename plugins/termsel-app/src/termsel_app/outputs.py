@@ -74,8 +74,7 @@ def run_arguments(session: Session) -> list[str]:
 
 
 def command_line(session: Session) -> str:
-    """Return the command line that repeats the session in a terminal: cd FOLDER && termsel run ...
-    """
+    """Return the line that repeats the session in a terminal: cd FOLDER && termsel run ..."""
     folder = shlex.quote(str(session.folder.absolute()))
     return f"cd {folder} && {shlex.join(['termsel', *run_arguments(session)])}"
 

@@ -23,10 +23,7 @@ _LOCK = Lock()  # objects of pyproj belong to one thread at a time
 
 
 def shown_crs(crs: str) -> str:
-    """Return the CRS in which coordinates of a CRS are shown.
-
-    Mercator for longitudes and latitudes.
-    """
+    """Return the CRS in which the page shows a CRS: Mercator for longitudes and latitudes."""
     return MERCATOR if crs != LOCAL and is_geographic(crs) else crs
 
 

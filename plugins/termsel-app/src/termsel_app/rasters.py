@@ -142,9 +142,7 @@ class Raster:
               average: bool) -> Pixels:
         """Return the pixels (*shape, 4) of a box inside the raster.
 
-        Top, left, height and width [px].
-
-        Transparent once the raster is closed.
+        The box is top, left, height and width [px]. Transparent once the raster is closed.
         """
         from rasterio.enums import Resampling
         from rasterio.windows import Window

@@ -135,10 +135,7 @@ def _stated_sensor(image: BlockImage) -> str:
 
 
 def _sensor_in_words(block: Block, sensor: str) -> str:
-    """Return a sensor as the first image that states it names it.
-
-    Of a file, its name without folders.
-    """
+    """Return a sensor as the first image that has it names it; of a file without its folders."""
     return next(Path(_stated_sensor(image)).name for i, image in enumerate(block.images)
                 if sensor_of(block, i) == sensor)
 

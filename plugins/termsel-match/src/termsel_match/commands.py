@@ -80,9 +80,7 @@ def reference_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def matcher_of(name: str | None, settings: tuple[str, ...]) -> Matcher | None:
-    """Return the matcher of a name with its options.
-
-    None without a name, which means the usual ones.
+    """Return the matcher of a name with its options; None, for the usual ones, without a name.
 
     Raises TermselError for options without a name, or that are not KEY=VALUE.
     """

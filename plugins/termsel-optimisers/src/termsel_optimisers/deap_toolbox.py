@@ -230,10 +230,7 @@ def _mate(individual_1: Individual, individual_2: Individual,
 
 
 def _mutate(individual: Individual, genome: Genome) -> tuple[Individual]:
-    """Mutate an individual in place, with the operators for its types of genes.
-
-    Return it in a tuple.
-    """
+    """Mutate an individual in place, by its types of genes; return it in a tuple."""
     genes = np.array([individual], dtype=genome.dtype)
     individual[:] = mutation(genes, genome, 1.0 / genome.size, _rng())[0].tolist()
     return (individual,)

@@ -224,9 +224,7 @@ class CorrectedRpc(Method):
         return None
 
     def describe(self, fitted: Fit) -> str:
-        """Return sentences on the correction.
-
-        Its shift, how likely each kind is, and its uncertainty.
+        """Return sentences on the correction: its shift, each kind's probability, its uncertainty.
         """
         assert isinstance(fitted.model, RpcAffine)
         believed, _ = belief(fitted.model, fitted.control.take(fitted.used), fitted.scaling,

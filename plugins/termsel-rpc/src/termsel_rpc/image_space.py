@@ -135,7 +135,7 @@ class RpcShift(Refinement):
                 or super().equations(features))
 
     def linearised(self, features: FeatureSet, coefficients: FloatArray) -> Equations | None:
-        """Return the equations about a solution, of lines in parametric form.
+        """Return the equations about a solution with lines in parametric form.
 
         None for the usual form.
         """

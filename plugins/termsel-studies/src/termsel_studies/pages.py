@@ -29,10 +29,7 @@ from termsel_studies.summaries import Summary, summaries
 
 
 def remarks_of(study: Study) -> list[str]:
-    """Return sentences on the images together.
-
-    Which stand out, and the notes that most of them have.
-    """
+    """Return sentences on the images together: which stand out, and notes that most have."""
     return [*study.remarks, *usual_notes_in_words(study.rows)]
 
 

@@ -58,9 +58,7 @@ def small_map(view: View) -> str:
 
 
 def _arrow(x: float, y: float, row: dict[str, Any], longer: float) -> str:
-    """Return the path of an arrow from x, y, which shows a residual `longer` times.
-
-    Clipped if huge.
+    """Return the path of an arrow from x, y that shows a residual `longer` times, clipped if huge.
     """
     longer = min(longer, 2.0 * WIDE / max(row["distance"], 1e-300))
     dx = row["ds"] * longer

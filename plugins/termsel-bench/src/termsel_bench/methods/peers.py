@@ -63,9 +63,8 @@ def _gdal(features: FeatureSet, *, spline: bool) -> Projection:
 def orthority(features: FeatureSet, seed: int) -> Projection:  # noqa: ARG001
     """Return a vendor's RPC with Orthority's refinement.
 
-    Shift and drift, of one or two points shift.
-
-    Raises TermselError without an RPC, or if Orthority is not installed.
+    It is a shift and a drift, of one or two points a shift. Raises TermselError without an RPC, or
+    if Orthority is not installed.
     """
     rpc = features.rpc
     if rpc is None:

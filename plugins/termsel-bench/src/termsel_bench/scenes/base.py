@@ -48,7 +48,7 @@ class BenchSet:
     def files(self) -> dict[str, str]:
         """Return the texts of the set's files by name.
 
-        Points with roles, lines and RPC if there are any.
+        They are the points with roles, and lines and RPC if there are any.
         """
         named = {f"{self.name}.csv": _text(
             self.features.crs, "id,role,line,sample,x,y,z",

@@ -277,9 +277,7 @@ class _Run(Steps):
         return bool(np.abs(after / before - 1).max() < _SETTLED)
 
     def grow(self, fixed: Sequence[bool]) -> bool:
-        """Add columns to the images whose residuals support them.
-
-        Return whether any image got some.
+        """Add columns to images whose residuals support them; return whether any got some.
 
         `fixed` says of each image whether the user asks for its correction; it may be empty.
         """

@@ -314,7 +314,7 @@ def _affine_inverse(camera: Camera, parameters: FloatArray) -> FloatArray:
 
 
 def _residual_spread(images: Sequence[ImageInput], state: State) -> float:
-    """Return a robust standard deviation of all ties' residuals at the start [px].
+    """Return a robust standard deviation [px] of all ties' residuals at the start.
 
     1 without images.
     """

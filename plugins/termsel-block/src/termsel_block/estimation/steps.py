@@ -144,10 +144,7 @@ class Steps:
             heights.offset = offset
 
     def _cost(self, robust: bool, wide: float) -> float:
-        """Return twice the negative logarithm of the posterior, up to a constant.
-
-        What a step makes less.
-        """
+        """Return what a step makes less: -2 log of the posterior density, up to a constant."""
         state = self.state
         of_ties, of_control = self.residuals()
         total = self.heights.cost(state.ties)
@@ -235,9 +232,9 @@ class Steps:
 
     def _equations_of_control(self, i: int, camera: Camera, control: OwnControl, robust: bool,
                               ) -> tuple[FloatArray, FloatArray]:
-        """Return what an image's control adds to its normal equations.
+        """Return what an image's control adds to its normal equations, (p, p) and (p,).
 
-        (p, p) and (p,), 0 without control.
+        Both are zeros without control.
         """
         p = len(camera.groups)
         if not len(control):
@@ -294,10 +291,7 @@ class Steps:
 
 
 def soft(ratio: FloatArray) -> FloatArray:
-    """Return weights 1 / (1 + (r / c)^2)^2 of residuals in standard deviations.
-
-    1 at 0, falling to 0.
-    """
+    """Return weights 1 / (1 + (r / c)^2)^2 of residuals r in standard deviations, 1 at r = 0."""
     return np.asarray(1 / (1 + (ratio / _ROBUST) ** 2) ** 2)
 
 

@@ -155,9 +155,7 @@ class LinearCamera(Camera):
         """Return the known part (n, 2) [px] and the columns (n, m) at places of the frame."""
 
     def perspective(self, parameters: FloatArray, local: FloatArray) -> FloatArray | float:
-        """Return what the parameters (2m,) add besides their columns, (n, 2) [px].
-
-        0 unless overridden.
+        """Return what parameters (2m,) add besides their columns, (n, 2) [px]; 0 unless overridden.
         """
         return 0.0
 

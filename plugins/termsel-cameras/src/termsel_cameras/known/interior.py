@@ -237,9 +237,8 @@ def _with_middle(interior: Interior, stated: Mapping[str, str],
                  size: tuple[int, int] | None) -> Interior:
     """Return an interior with the principal point [px].
 
-    Stated, or the middle of an image of known size.
-
-    Without either it stays as it is.
+    It is the stated one, or the middle of an image of known size; without either the interior stays
+    as it is.
     """
     # Half the diagonal of the image, of which the scale of the prior of the principal point is a
     # share.

@@ -121,9 +121,7 @@ class Radar(Physical):
         return self.annotation.source
 
     def known_image(self) -> KnownImage | None:
-        """Return the size of the image, and the area of the annotation's lattice.
-
-        None without a lattice.
+        """Return the image's size and the area of the annotation's lattice; None without a lattice.
         """
         stated = self.annotation
         return KnownImage(stated.size, np.array(stated.area)) if stated.area else None

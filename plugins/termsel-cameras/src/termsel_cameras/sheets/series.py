@@ -146,8 +146,7 @@ class BySeries(Estimator):
 
     def _posterior(self, model: SeriesSheet, in_use: FeatureSet,
                    scaling: Scaling) -> tuple[_Posterior, FloatArray]:
-        """Return the sheet by its points and its paper, and the middle (2,) of the points on the
-        ground.
+        """Return the sheet by its points and its paper, and the middle (2,) of its points' ground.
         """
         plan = plan_of(in_use, scaling)
         middle = plan.mean(axis=0)

@@ -74,8 +74,9 @@ def read_series(path: Path | str) -> Series:
 
 
 def _sheet(item: Any) -> Sheet:
-    """Return a sheet of a file; raises ValueError, KeyError or TypeError if its values are no
-    sheet's.
+    """Return a sheet of a file.
+
+    Raises ValueError, KeyError or TypeError if the item is no sheet.
     """
     values = tuple(float(value) for value in item["values"])
     variances = tuple(float(value) for value in item["variances"])

@@ -250,11 +250,10 @@ def _line_of(raster: Any, number: int) -> Band:
 
 
 def _lattice_of(arrays: Arrays, path: Path, meshes: int | None) -> FeatureSet:
-    """Return some places of arrays as control.
+    """Return some places of arrays as control, as dense as the geometry needs.
 
-    As dense as the geometry needs, or `meshes` either way.
-
-    Raises TermselError if fewer than four are coordinates.
+    `meshes`, if it is not None, is their number either way. Raises TermselError if fewer than four
+    are coordinates.
     """
     densest = max(size - 1 for size in arrays.shape)
     lattice = None

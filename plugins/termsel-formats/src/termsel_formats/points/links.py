@@ -97,10 +97,7 @@ class ArcgisLinks(Reader):
 
 
 def _column_of_x(width: int) -> int:
-    """Return the number of the column of X Source.
-
-    1 in rows that begin with a number of the link, or 0.
-    """
+    """Return the number of the column of X Source: 1 after the number of a link, else 0."""
     return 1 if width in (5, 8) else 0
 
 

@@ -147,9 +147,7 @@ def _cells(text: str) -> list[str]:
 
 
 def _is_mark(cells: list[str]) -> bool:
-    """Return whether cells are a mark.
-
-    X, y, z, column and row as numbers, then the name of an image.
+    """Return whether cells are a mark: five numbers, x, y, z, column and row, then an image's name.
     """
     return (len(cells) > 5 and all(is_number(cell) for cell in (*cells[:2], *cells[3:5]))
             and (is_number(cells[2]) or not _known_height(cells[2])) and not is_number(cells[5]))

@@ -171,9 +171,9 @@ def start_by_points(features: FeatureSet, description: str) -> Start:
 
 
 def _start_by_own_position(image: Path) -> Start | None:
-    """Return the start by an image's own GCPs or geotransform.
+    """Return the start by an image's own GCPs or geotransform; None if they are too few.
 
-    None without a CRS or enough of them.
+    None without a CRS, too.
     """
     with open_raster(image) as raster:
         gcps, crs = raster.gcps

@@ -214,7 +214,7 @@ class Reference:
 def _spacing(mesh: FloatArray) -> float:
     """Return the median distance of neighbours of a mesh (2, lines, samples).
 
-    Its step if none is known.
+    If none is known it is the mesh's own step.
     """
     steps = np.concatenate([np.linalg.norm(np.diff(mesh, axis=axis), axis=0).ravel()
                             # Steps along both axes of the mesh.
@@ -224,10 +224,7 @@ def _spacing(mesh: FloatArray) -> float:
 
 
 def _pixels(transform: Any, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Return line and sample (n, 2) of map coordinates x and y (n,).
-
-    (0, 0) is the first pixel's centre.
-    """
+    """Return line and sample (n, 2) of map coordinates (n,); (0, 0) is the first pixel's centre."""
     with np.errstate(invalid="ignore", over="ignore"):
         column, row = ~transform @ (x, y)
     return np.stack([row, column], axis=1) - 0.5

@@ -277,10 +277,7 @@ def with_lines(selected: Selected, lines: FeatureSet, *, seed: int = 1,
 
 
 def _with_note(result: Result, folder: Path | str | None) -> Result:
-    """Return a result with the note on what its independent figures are of.
-
-    Rewrite its folder, too.
-    """
+    """Return a result with a note on what its independent figures are of, also in its folder."""
     noted = result.with_(notes=(*result.notes, AGREEING))
     if folder is not None:
         write_result(noted, Path(folder))

@@ -130,9 +130,7 @@ def evidence_of(candidates: Candidates, selected: Selected, heights: Heights,
 
 def remarks(candidates: Candidates, selected: Selected, evidence: Evidence,
             accept: float) -> tuple[str, ...]:
-    """Return sentences on what a user must look at, though the map may be right.
-
-    () if there is none.
+    """Return sentences on what a user must look at, though the map may be right; () if none.
 
     `accept` is the largest acceptable error [px].
     """

@@ -96,10 +96,7 @@ class MatchedLines(Problem):
         self.genome = Genome([Subset("features", inputs.control.ids, picked)])
 
     def evaluate(self, genes: Any) -> Evaluation:
-        """Return the weighted share of pieces that do not agree, for genes (p, picked).
-
-        Least is best.
-        """
+        """Return the weighted share of pieces that do not agree, of genes (p, picked)."""
         away = self._distances(self._fit_lines(np.asarray(genes, dtype=np.intp)))
         # Of each piece the nearest candidate alone counts.
         nearest = np.minimum.reduceat(away[:, self._order], self._first, axis=1)

@@ -148,10 +148,7 @@ def bytes_of(path: Path) -> bytes:
 
 
 def _header(head: bytes) -> list[str]:
-    """Return the column names in the first line of a table that is not blank.
-
-    [""] if there is none.
-    """
+    """Return the names in the first line of a table that is not blank; [""] without one."""
     text = head.decode("utf-8-sig", errors="replace")
     first = next((line for line in text.splitlines() if line.strip()), "")
     return [cell.strip().strip('"') for cell in first.split(",")]
