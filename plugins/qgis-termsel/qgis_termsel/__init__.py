@@ -2,7 +2,7 @@
 
 
 def classFactory(iface):
-    """Return the plugin."""
+    """Return the plugin for QGIS's interface `iface`; QGIS calls it."""
     from .plugin import TermselPlugin
 
     return TermselPlugin(iface)

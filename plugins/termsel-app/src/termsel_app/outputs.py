@@ -177,5 +177,5 @@ def call(arguments: Sequence[str], folder: Path) -> None:
 
 
 def control_count(control: ControlFeatures) -> int:
-    """Return how many features are complete."""
+    """Return the number of features that have places in both image and ground."""
     return len(control.complete("point")) + len(control.complete("line"))

@@ -71,7 +71,7 @@ class Selected:
     independent_of_all: float | None
 
     def record(self, solver: str, seed: int) -> dict[str, Any]:
-        """Return all figures, for JSON."""
+        """Return all figures of the selection as a dict for JSON."""
         return {"problem": PROBLEM_NAME, "solver": solver, "seed": seed, "control": self.control,
                 "ties": self.ties, "evaluations": self.search.evaluations,
                 "certificate": self.search.certificate, "rmse": {
@@ -265,7 +265,7 @@ def _rows_among_all(result: BlockResult, i: int, rows: FloatArray) -> FloatArray
 
 
 def _columns(result: BlockResult) -> int:
-    """Return how many parameters the images have; what heights share follows them."""
+    """Return the number of all images' parameters; columns of shared heights follow them."""
     return result.adjusted.solved.reduced.slices[len(result.block.images) - 1].stop
 
 

@@ -200,7 +200,7 @@ def _exact_scanner(i: int, size: int, gsd: float, views: Sequence[tuple[float, f
 
 def _jittered(sensor: Pushbroom, amplitude: float, size: int,
               rng: np.random.Generator) -> Pushbroom:
-    """Return a scanner whose attitude jitters, by so many px of line and of sample."""
+    """Return a scanner with jitter of roll and pitch, a sine each of `amplitude` [px]."""
     time = size * sensor.line_period
 
     def moved(angle: Angle) -> Angle:

@@ -36,7 +36,8 @@ class LineDirections(SensorModel):
 
     @abstractmethod
     def _columns(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
-        """Return what line and sample change by with each term, shape (n, 2, k)."""
+        """Return the derivatives of line and sample by each term at places (n, 3), shape (n, 2, k).
+        """
 
     def linearised(self, features: FeatureSet, coefficients: FloatArray) -> Equations:
         """Return the equations about a solution (see `SensorModel.linearised`).

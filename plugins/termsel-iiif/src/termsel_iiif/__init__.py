@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @hookimpl
 def termsel_readers() -> Iterable[type[Reader]]:
-    """Return the reader."""
+    """Return the reader of georeference annotations."""
     from termsel_iiif.reader import AnnotationReader
 
     return [AnnotationReader]
@@ -26,7 +26,7 @@ def termsel_readers() -> Iterable[type[Reader]]:
 
 @hookimpl
 def termsel_writers() -> Iterable[type[Writer]]:
-    """Return the writer."""
+    """Return the writer of georeference annotations."""
     from termsel_iiif.writer import AnnotationWriter
 
     return [AnnotationWriter]

@@ -230,7 +230,7 @@ def corners(points: str) -> list[tuple[float, float]]:
 
 
 def kept(georeferenced: Map) -> dict[str, str]:
-    """Return what of a map is no point, as texts by the name of an attribute of the points."""
+    """Return source, mask and transformation of a map as texts of attributes of its points."""
     return {SOURCE: json.dumps({"annotation": georeferenced.id, **georeferenced.resource}),
             MASK: georeferenced.mask,
             TRANSFORMATION: json.dumps(georeferenced.transformation) if georeferenced.transformation

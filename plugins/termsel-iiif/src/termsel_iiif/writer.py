@@ -55,7 +55,8 @@ class AnnotationWriter(Writer):
         return bool(named and len(result.features.points)) and result.features.crs != LOCAL
 
     def write(self, result: Result, path: Path) -> None:
-        """Write the annotation."""
+        """Write the points as an annotation; raises TermselError without the address of the image.
+        """
         if not self.accepts(result):
             raise TermselError(
                 "an annotation requires points in a CRS of the Earth, and the address of the image",

@@ -36,7 +36,7 @@ class Number(click.FloatRange):
 
     def convert(self, value: Any, param: click.Parameter | None,
                 ctx: click.Context | None) -> float:
-        """Return the number."""
+        """Return the number of an option's text; NaN fails as any other text does."""
         number = float(super().convert(value, param, ctx))
         # nan is the only number that is not itself, and no limit excludes it.
         return number if number == number else self.fail(f"{value!r} is no number.", param, ctx)

@@ -123,7 +123,8 @@ class Pymoo(Solver):
 
 
 def directions(objectives: int, max_directions: int) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Return at most so many reference directions of Das and Dennis 1998, (n, objectives)."""
+    """Return reference directions of Das and Dennis 1998, (n, objectives), n <= `max_directions`.
+    """
     # Das and Dennis: all points whose coordinates are multiples of 1 / partitions and add up to 1.
     partitions = 1
     # There are comb(partitions + objectives - 1, objectives - 1) of them: as many as are allowed.

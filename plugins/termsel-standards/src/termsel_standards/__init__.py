@@ -46,7 +46,7 @@ def termsel_commands(cli: click.Group) -> None:
 
 @hookimpl
 def termsel_writers() -> Iterable[type[Writer]]:
-    """Return the writers."""
+    """Return the writers of STAC items and of quality reports."""
     from termsel_standards.quality.writers import FgdcXml, Iso19157Json, Iso19157Xml
     from termsel_standards.stac import StacItem
 

@@ -50,7 +50,10 @@ class StacItem(Writer):
         return result.features.crs != LOCAL
 
     def write(self, result: Result, path: Path) -> None:
-        """Write the item."""
+        """Write the outline and accuracy of the image as an item.
+
+        Raises TermselError without a CRS.
+        """
         if not self.accepts(result):
             raise TermselError("a STAC item requires a CRS of the Earth",
                                hint="State the CRS of the ground coordinates when you run termsel.")

@@ -349,7 +349,10 @@ def _nssda_vertical(vertical: float | None, too_few: str | None) -> Statement:
 
 
 def distribution_of(ground_errors: GroundErrors) -> Distribution:
-    """Return how many check points there are, how many ASPRS asks for, and where they are."""
+    """Return the number of check points, the number that ASPRS asks for, and their distribution.
+
+    Area, quadrants and distances are None if a position is not known.
+    """
     n = len(ground_errors.ids)
     positions = ground_errors.positions
     if not np.isfinite(positions).all():

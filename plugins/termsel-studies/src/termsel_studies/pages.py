@@ -166,7 +166,7 @@ def shown(value: float | None, digits: int) -> str:
 
 
 def markdown(study: Study) -> str:
-    """Return all tables of a study, and what may be claimed, as Markdown."""
+    """Return all tables of a study, and its valid claims, as Markdown."""
     tables, sentences = tables_of(study)
     remarks = [f"- {markdown_text(remark)}" for remark in remarks_of(study)]
     paragraphs = [f"# {markdown_text(study.spec.title or 'Study')}\n"]

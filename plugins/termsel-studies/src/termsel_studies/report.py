@@ -38,7 +38,7 @@ def report(study: Study, charts: list[Figure] | None = None) -> str:
 
 
 def summary(study: Study) -> str:
-    """Return what may be claimed of a study, and its main figures, as text."""
+    """Return the valid claims on a study, and its main figures, as text."""
     return text_of(_document(study, [], {}, brief=True))
 
 

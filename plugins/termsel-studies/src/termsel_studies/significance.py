@@ -134,7 +134,10 @@ def holm(p_values: Sequence[float]) -> list[float]:
 
 
 def critical_difference(methods: int, instances: int, level: float = SIGNIFICANCE) -> float:
-    """Return by how much mean ranks must differ, by Nemenyi's test (Demšar 2006, section 3.2.2)."""
+    """Return the least significant difference of mean ranks by Nemenyi's test.
+
+    Demšar 2006, section 3.2.2.
+    """
     from scipy.stats import studentized_range
 
     quantile = float(studentized_range.ppf(1 - level, methods, np.inf)) / math.sqrt(2)

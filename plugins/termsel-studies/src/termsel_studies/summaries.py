@@ -62,7 +62,10 @@ def optimum_of(runs: Any, measure: str) -> float | None:
 
 
 def _summary(instance: str, method: str, runs: Runs, optimum: float | None) -> Summary:
-    """Return what the runs of one method on one instance reach, and how soon."""
+    """Return the summary of one method's runs on one instance: quartiles, and how soon it succeeds.
+
+    Success is None without a proven optimum.
+    """
     reached = None
     expected = None
     interval = (0.0, 0.0)

@@ -215,7 +215,9 @@ class Steps:
         return score
 
     def _fixed_at_ties(self, i: int) -> Fixed:
-        """Return what no parameter changes at an image's ties, computed once for a state."""
+        """Return the part of an image's model at its ties that no parameter changes, kept for
+        reuse.
+        """
         camera = self.state.cameras[i]
         ties = self.state.ties
         # Camera and ties are replaced, never changed: identity shows whether they are the same.

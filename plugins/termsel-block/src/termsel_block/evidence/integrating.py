@@ -72,7 +72,7 @@ class _Group:
 
 
 def unknown(cameras: Sequence[Camera]) -> int:
-    """Return how many parameters of images have unknown variances."""
+    """Return the number of parameters of all images whose variances are unknown."""
     return sum(name not in camera.fixed_variance
                for camera in cameras for name in camera.groups)
 

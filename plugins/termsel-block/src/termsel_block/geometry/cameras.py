@@ -92,7 +92,10 @@ class Camera(ABC):
         """Return the camera with some of its parameters, by a mask (p,)."""
 
     def fixed(self, local: FloatArray) -> Fixed:
-        """Return what no parameter changes at places, which `project` need not compute again."""
+        """Return the part of the model at places (n, 3) that no parameter changes, or None.
+
+        `project` and `jacobian` take it, so that it is computed once.
+        """
         return None
 
     @abstractmethod
@@ -180,7 +183,7 @@ class LinearCamera(Camera):
         return derivatives
 
     def correction(self, parameters: FloatArray, local: FloatArray) -> FloatArray:
-        """Return what the columns add to the known part at places, (n, 2) [px]."""
+        """Return the product of columns and parameters (2m,) at places (n, 3): (n, 2) [px]."""
         return np.asarray(self.first_order(local)[1] @ by_axis(parameters))
 
 
@@ -329,7 +332,8 @@ class PolynomialCamera(LinearCamera):
         return PolynomialCamera(self.centre, self.half, self.half_image, self.middle, powers)
 
     def perspective(self, parameters: FloatArray, local: FloatArray) -> FloatArray | float:
-        """Return what the perspective of the rays that parameters (2m,) state adds, (n, 2)."""
+        """Return the perspective (n, 2) [px] of the rays that parameters (2m,) of x, y, z describe.
+        """
         scaled = (local - self.centre) / self.half
         forms = self._quadratic_forms(by_axis(parameters)[self._slopes])
         # The quadratic form p^T F p of each place p, for line and sample.

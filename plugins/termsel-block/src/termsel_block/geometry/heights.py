@@ -168,14 +168,17 @@ class Heights:
         return Observed(row, away, weight, joint)
 
     def equations(self, ties: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return what they add to the ties' normal equations, (t, 3, 3) and (t, 3)."""
+        """Return the part of the heights in the ties' normal equations, (t, 3, 3) and (t, 3)."""
         # H = w a a^T and b = w a r of each tie, by its row a and residual r.
         observed = self.observed(ties)
         return (np.einsum("t,ti,tj->tij", observed.weight, observed.row, observed.row),
                 (observed.weight * observed.away)[:, None] * observed.row)
 
     def of_offset(self) -> tuple[float, float]:
-        """Return what the prior and control add to the offset's normal equation."""
+        """Return the part of prior and control in the normal equation of the offset.
+
+        Weight, right side.
+        """
         # Normal equation (p + n w) o = w sum(h) of the offset o, less its value now.
         prior = self._weight_of_prior()
         weight = self._weight_of_control()

@@ -122,7 +122,7 @@ def schema() -> dict[str, Any]:
 
 
 def record_of(result: BlockResult) -> BlockRecord:
-    """Return all that a block's files say of it."""
+    """Return the record of a block: images, ties, blunders, figures and notes, as in block.json."""
     block = result.block
     adjusted = result.adjusted
     images = [_image(result, i) for i in range(len(block.images))]
@@ -270,7 +270,7 @@ def _rejected_control(result: BlockResult) -> list[WrongControl]:
 
 
 def times_seen(result: BlockResult) -> IntArray:
-    """Return how many images see each tie, blunders left out: below two it has no place."""
+    """Return the number of images (t,) in which each tie is in use; below two it has no place."""
     ties = result.block.ties
     count = np.zeros(len(ties.names), int)
     for i, used in enumerate(result.adjusted.state.in_use):

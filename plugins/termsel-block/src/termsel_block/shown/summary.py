@@ -117,7 +117,7 @@ def _cautions(record: BlockRecord) -> Iterator[str]:
 
 
 def _blunders(record: BlockRecord) -> str:
-    """Return how many observations were rejected, and the worst of them."""
+    """Return a line with the number of rejected observations and the worst, or "none detected"."""
     ties = len(record.wrong_ties)
     control = len(record.wrong_control)
     if not ties and not control:

@@ -255,7 +255,10 @@ def _with_middle(interior: Interior, stated: Mapping[str, str],
 
 
 def _with_spreads(interior: Interior, stated: Mapping[str, str]) -> Interior:
-    """Return an interior with how well it is known, where that is stated."""
+    """Return an interior with the standard deviations that are stated of it; others stay.
+
+    Raises TermselError for that of a principal point which is not known.
+    """
     if "camera_focal_spread" in stated:
         interior = replace(interior, focal_spread=_focal_spread(
             stated["camera_focal_spread"], "camera_focal_spread", interior.focal))

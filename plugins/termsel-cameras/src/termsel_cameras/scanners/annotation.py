@@ -93,7 +93,7 @@ class Annotation:
     middle_range_time: float | None = None  # two-way time of echoes that lines are timed for [s]
 
     def text(self) -> str:
-        """Return all as JSON, from which `annotation_of` reads it again."""
+        """Return the annotation as JSON, from which `annotation_of` reads it again."""
         return msgspec.json.encode(self).decode()
 
 

@@ -57,7 +57,7 @@ class Metadata:
     looks: tuple[tuple[float, ...], ...]  # PSI_X along and PSI_Y across the track there [rad]
 
     def text(self) -> str:
-        """Return all as JSON, from which `metadata_of` reads it again."""
+        """Return the metadata as JSON, from which `metadata_of` reads them again."""
         return msgspec.json.encode(self).decode()
 
 

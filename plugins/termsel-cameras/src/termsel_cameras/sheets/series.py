@@ -165,7 +165,7 @@ class BySeries(Estimator):
         return Spread((factors**2).sum(axis=2), np.full(2, noise), factors)
 
     def experience(self, fitted: Fit) -> Experience:
-        """Return how well the noise is known by the series."""
+        """Return the prior of the noise: degrees of freedom that the series gives it."""
         assert isinstance(fitted.model, SeriesSheet)
         return Experience(fitted.model.paper.freedom, UNKNOWNS, TAILS)
 
@@ -283,7 +283,10 @@ class SheetOfSeries(Method):
         return None
 
     def fit(self, control: FitData) -> Fit:
-        """Fit the sheet by all points."""
+        """Return the fit of the sheet to all points.
+
+        Raises Undetermined if they name several series.
+        """
         text = stated_paper(control.features)
         model = SeriesSheet(paper=text).prepared(control.scaling, control.features.crs)
         assert model.paper.sheets > 0

@@ -97,7 +97,7 @@ def require_points(checked: CheckedPoints, path: Path, needs: str) -> None:
 
 
 def say_checked(name: str, checked: CheckedPoints) -> None:
-    """Log how many points a file holds, and which were left out."""
+    """Log the numbers of control and check points in a file, and which points were left out."""
     checks = sum(checked.is_check)
     control = len(checked.is_check) - checks
     log.info("%s holds %d control and %d check points, not the model. Left out: %s.", name,

@@ -80,7 +80,10 @@ def arrow(position: np.ndarray, away: np.ndarray, times: float, step: int,
 
 
 def scale_of(residuals: np.ndarray, step: int) -> float:
-    """Return by how much residuals are drawn larger than the image is: 1, 2, 5, 10, ..."""
+    """Return how many times as long as they are residuals are drawn: 1, 2, 5, 10, ...
+
+    `step` is how many px of the image a pixel of the picture spans.
+    """
     length = np.linalg.norm(residuals, axis=1)
     usual = float(np.quantile(length, 0.9)) / step if len(length) else 0.0
     largest_scale = _ARROW / max(usual, 1e-6)

@@ -276,7 +276,7 @@ class Georeferenced:
     bounds: tuple[float, float, float, float] | None = None
 
     def text(self) -> str:
-        """Return the report."""
+        """Return the report as text: start, candidates, model, accuracy, remarks and reasons."""
         selected = self.selected
         points = self.candidates.points
         agree = self.selected.agrees

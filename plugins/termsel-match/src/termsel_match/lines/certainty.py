@@ -38,7 +38,7 @@ class Decisive:
     moved: float
 
     def text(self) -> str:
-        """Return what a user must know of it."""
+        """Return a sentence on how far the image moves without the one vector that counts most."""
         if self.moved <= UNCERTAIN:
             return (f"Without any one vector the image moves by at most {self.moved:.2f} px "
                     f"(vector {self.vector}).")

@@ -163,7 +163,8 @@ class MatchedLines(Problem):
         return np.asarray(self.inputs.model.project(coefficients, ground) * self.inputs.pixels)
 
     def _nearest(self, coefficients: FloatArray) -> tuple[NDArray[np.intp], FloatArray]:
-        """Return the nearest line of each piece to a model, and how far it is [px]."""
+        """Return the number of each piece's line that is nearest to a model, and its distance [px].
+        """
         away = self._distances(coefficients[None])[0]
         nearest = np.array([candidates[away[candidates].argmin()]
                             for candidates in self._equations_of_pieces()])

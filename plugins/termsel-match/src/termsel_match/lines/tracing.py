@@ -35,7 +35,7 @@ class Tracing:
     vectors: int = 0
 
     def text(self) -> str:
-        """Return what a user must know of it."""
+        """Return a sentence on the standard deviation [px] that errors of the vectors leave."""
         remaining = ("cannot be estimated from so few pieces of vectors."
                      if np.isnan(self.sigma) else f"{self.sigma:.2f} px.")
         if self.vectors < MIN_VECTORS and not np.isnan(self.sigma):

@@ -179,7 +179,10 @@ def match_points(
 def _points_of_files(picture: GreyRaster, files: list[Path],
                      opened: Callable[[Path], AbstractContextManager[Reference]], looking: Looking,
                      ) -> tuple[Points, str, Counter[str]]:
-    """Return the points by all references, the CRS of the first, and how cells ended."""
+    """Return the points by all references, the CRS of the first, and how many cells ended how.
+
+    Raises TermselError if no reference shows what the image shows.
+    """
     several = []
     crs = ""
     cells = Counter[str]()

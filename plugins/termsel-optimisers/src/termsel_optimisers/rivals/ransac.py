@@ -67,7 +67,10 @@ class Ransac(Method):
                                   self._agreeing(ready, data))
 
     def model(self, heights: bool, points: int = 0) -> RationalModel:
-        """Return the polynomial for so many points, with heights or without."""
+        """Return the polynomial for a number of points: affine, or quadratic if they are many.
+
+        It is of three coordinates with heights, else of two.
+        """
         degree = 1 if points < QUADRATIC_FROM else 2
         return Polynomial3D(degree=degree) if heights else Polynomial2D(degree=degree)
 

@@ -76,7 +76,7 @@ def _measure(measure: Measure) -> Element:
 
 
 def _evaluation(report: Quality) -> Element:
-    """Return how a figure was found, as an element."""
+    """Return the method by which figures were found, with its sample of points, as an element."""
     # An inspection of a sample: the independent points stand for all of the image. Without any
     # the data are held against themselves.
     kind = "directInternal" if report.predicted else "directExternal"
@@ -96,7 +96,7 @@ def _evaluation(report: Quality) -> Element:
 
 
 def _lineage(report: Quality) -> Element:
-    """Return what the result was made of, and by which programs, as an element."""
+    """Return the sources of the result and the programs that made it, as an element."""
     # The program itself is the processor; others are documentation of it.
     software = [_x("mrl:documentation", _citation(name, edition))
                 for name, edition in report.software.items() if name != "termsel"]

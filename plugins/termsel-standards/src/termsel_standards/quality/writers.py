@@ -30,7 +30,7 @@ class _Report(Writer):
         return result.features.crs != LOCAL
 
     def write(self, result: Result, path: Path) -> None:
-        """Write the report."""
+        """Write the quality report of a result; raises TermselError without a CRS of the Earth."""
         write_text(path, self.text(quality_of(
             result, str(self.options["title"]), str(self.options["organisation"]),
             self.options["image"])))
