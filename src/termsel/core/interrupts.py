@@ -30,7 +30,7 @@ def end_at_once() -> None:
 
 
 def leave(_number: int = signal.SIGINT, _frame: FrameType | None = None) -> NoReturn:
-    """End the program as after Ctrl-C, at once."""
+    """Print "Interrupted." on stderr and end the program at once, with the code `INTERRUPTED`."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     answered()
     try:
@@ -78,7 +78,7 @@ def _print_unraisable(unraisable: sys.UnraisableHookArgs) -> None:
 
 
 def answered() -> bool:
-    """Return whether an interrupt was waiting for an answer, which it now has."""
+    """Return whether Ctrl-C came and nothing has handled it yet; asking handles it."""
     if sys.platform == "win32" or signal.getsignal(signal.SIGALRM) is not _interrupt:
         return False
     return signal.setitimer(signal.ITIMER_REAL, 0)[0] > 0

@@ -22,7 +22,10 @@ THUMBNAIL_SIDE = 1000
 
 def thumbnail(path: Path | str, expected: tuple[int, int] | None = None,
               ) -> tuple[str, tuple[int, int]]:
-    """Return an image as a small grey JPEG in a data URL, and its size, which may be expected."""
+    """Return an image as a small grey JPEG in a data URL, and its lines and samples.
+
+    Raises TermselError if it has another size than `expected`.
+    """
     rasterio = require_rasterio()
     with open_raster(path) as raster:
         size = (int(raster.height), int(raster.width))

@@ -360,7 +360,8 @@ def _pixels_and_mask(raster: Any, spec: MapPixels, window: Any) -> tuple[Values,
 
 def _warped_tile(raster: Any, spec: MapPixels, shape: tuple[int, int], crs: str, transform: Any,
                  options: Mapping[str, Any]) -> tuple[Values, Mask]:
-    """Return a tile of the map, alpha last, and where it shows the image."""
+    """Return a tile of the map (bands, lines, samples), alpha last, and where it shows the image.
+    """
     import rasterio
     from rasterio.enums import Resampling
     from rasterio.warp import reproject

@@ -172,7 +172,8 @@ class MapPositions:
         return np.linspace(low - HEIGHT_MARGIN, high + HEIGHT_MARGIN, LEVELS)
 
     def _ground(self, pixels: FloatArray, transform: Any) -> FloatArray:
-        """Return x and y in the CRS of the control of lines and samples (n, 2) of a tile."""
+        """Return x and y (n, 2), in the CRS of the control, of lines and samples (n, 2) of a tile.
+        """
         x, y = transform @ (pixels[:, 1], pixels[:, 0])
         ground = np.stack(self._to_ground.transform(x, y), axis=1)
         if is_geographic(self.fitted.control.crs):

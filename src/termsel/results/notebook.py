@@ -51,7 +51,7 @@ def _offline(kind: Any) -> type:
 
 
 def html_of(chart: Any) -> str:
-    """Return a chart for the output of a cell."""
+    """Return a chart as HTML for the output of a cell."""
     global _sent
     spec = chart.to_dict()
     # The picture stands for the chart where scripts do not run, as on a page of a repository.

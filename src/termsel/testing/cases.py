@@ -142,7 +142,7 @@ def _run(name: str, function: Callable[[Any], None], cases: tuple[Case, ...],
 
 
 def _run_case(name: str, function: Callable[[Any], None], case: Case) -> None:
-    """Run a check with one case, within its time, and name both in what fails."""
+    """Run a check with one case, within its time; an AssertionError names both."""
     try:
         # The user of the plugin would see a warning such as "divide by zero".
         with warnings.catch_warnings(), unguarded():

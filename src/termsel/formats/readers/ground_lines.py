@@ -94,7 +94,7 @@ def _no_join(path: Path, join: str, names: list[str], has_image_lines: bool) -> 
 
 def _join_image_lines(path: Path, features: list[Feature], crs: str, image_lines: str | None,
                       join: str) -> FeatureSet:
-    """Return ground lines with their image lines, pieces of one feature under its id."""
+    """Return ground lines with the image lines of their ids; pieces of a feature share its id."""
     if not any(join in feature.properties for feature in features):
         names = list(dict.fromkeys(chain.from_iterable(
             feature.properties for feature in features)))

@@ -113,7 +113,7 @@ class _Trace:
                 "cpu_seconds": time.process_time() - self._cpu}
 
     def end(self, search: SearchResult) -> None:
-        """Take the gains of the search, each with the evaluation that found it.
+        """Note the gains of the finished search, each with the evaluation that found it.
 
         Its CPU seconds are those of the end of its generation.
         """

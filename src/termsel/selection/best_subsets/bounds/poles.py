@@ -41,7 +41,7 @@ _BOUND_GAIN = 0.02  # a round that raises the bound by less than this share of t
 
 @_compiled
 def node_bound(tree: Tree, d: int, limit: float) -> float:
-    """Return a lower bound of the residuals of the subsets of a node; infinite if none has any.
+    """Return a lower bound of the residual sums of squares of a node's subsets; else infinite.
 
     Weights are raised until it is above the limit, and stay in `tree.weight`. `tree.shifted` is
     q + W u.
