@@ -25,11 +25,11 @@ def main() -> None:
     control = FeatureSet(Points(tuple(map(str, range(len(grid)))), grid[:, :2], ground),
                          crs="EPSG:4979", image_size=(sensor.n_lines, sensor.n_samples))
     model = RationalFunctions()
-    found = rpc_of(LeastSquares().fit(model, control, scaling_of(control), *(
+    exported = rpc_of(LeastSquares().fit(model, control, scaling_of(control), *(
         np.ones(n, dtype=bool) for n in (len(model.terms), len(control)))))
-    RPC_FILE.write_text(rpb_text(found.rpc.as_delivered()))
-    away = found.rpc.project(ground) - grid[:, :2]
-    print(f"{found.how}: at most {np.abs(away).max():.2g} px from the sensor")
+    RPC_FILE.write_text(rpb_text(exported.rpc.as_delivered()))
+    away = exported.rpc.project(ground) - grid[:, :2]
+    print(f"{exported.how}: at most {np.abs(away).max():.2g} px from the sensor")
 
 
 if __name__ == "__main__":

@@ -256,8 +256,8 @@ def _short(node: Node, names: Sequence[int], alphas: FloatArray) -> list[float]:
     Any are valid. But where columns nearly depend on each other, those with four digits are no
     longer positive definite.
     """
-    of = dict(zip(names, alphas.tolist(), strict=True))
-    return [float(f"{of[j]:.9g}") for j in node.rest]
+    alpha_by_name = dict(zip(names, alphas.tolist(), strict=True))
+    return [float(f"{alpha_by_name[j]:.9g}") for j in node.rest]
 
 
 def _branch(columns: Columns, room: int) -> int:

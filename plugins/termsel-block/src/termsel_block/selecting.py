@@ -331,13 +331,13 @@ def _tie_rows(result: BlockResult, ties: IntArray,
                            "select from",
                            hint="Give fewer candidates of ties, or part of the block.")
     # Of each candidate the images that see it, and its row in each.
-    of: dict[int, list[tuple[int, int]]] = {int(tie): [] for tie in ties}
+    rows_by_tie: dict[int, list[tuple[int, int]]] = {int(tie): [] for tie in ties}
     for i, (tie_rows, used) in enumerate(zip(solved.tie_rows[:-1], state.in_use, strict=True)):
         for n in np.flatnonzero(used):
-            if int(tie_rows.tie[n]) in of:
-                of[int(tie_rows.tie[n])].append((i, int(n)))
+            if int(tie_rows.tie[n]) in rows_by_tie:
+                rows_by_tie[int(tie_rows.tie[n])].append((i, int(n)))
     rows_of_ties = []
-    for tie, measured in of.items():
+    for tie, measured in rows_by_tie.items():
         rows = []
         slopes = []
         aim = []

@@ -62,8 +62,8 @@ class AnnotationWriter(Writer):
                 "an annotation requires points in a CRS of the Earth, and the address of the image",
                 hint="Give it with --set image_id=https://example.org/iiif/map1.")
         points = result.features.points
-        wrong = {outlier.id for outlier in result.outliers if outlier.excluded}
-        use = [role != "off" and name not in wrong
+        excluded = {outlier.id for outlier in result.outliers if outlier.excluded}
+        use = [role != "off" and name not in excluded
                # What was left out as a blunder would bend the transformation of a viewer.
                for name, role in zip(points.ids, points.roles, strict=True)]
         used = points.take(use)

@@ -197,8 +197,8 @@ def register(box: base.Toolbox, role: str, declaration: str | None, genome: Geno
     # Individuals come first, and how many to select; the rest are arguments.
     free = {"select": 2, "mate": 2, "mutate": 1}[role]
     if not set(keywords) <= set(takes[free:]):
-        wrong = min(set(keywords) - set(takes[free:]))
-        raise TermselError(f"{name} of deap.tools takes no argument {wrong!r}",
+        unknown = min(set(keywords) - set(takes[free:]))
+        raise TermselError(f"{name} of deap.tools takes no argument {unknown!r}",
                            hint=f"It takes {', '.join(takes[free:]) or 'none'}.")
     lacking = [key for key in takes[free:] if key not in keywords and
                inspect.signature(function).parameters[key].default is inspect.Parameter.empty]

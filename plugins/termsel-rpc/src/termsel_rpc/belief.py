@@ -122,20 +122,21 @@ class Belief:
         variance; the evidence of all is its logarithm.
         """
         # With x = S u and u ~ N(0, I): the posterior of u has the precision I + S A^T A S / s^2.
-        of = self.grid
-        by_noise = of.scales / of.noise[:, None]
+        cells = self.grid
+        by_noise = cells.scales / cells.noise[:, None]
         gram = by_noise[:, :, None] * (self.rows.T @ self.rows) * by_noise[:, None, :]
         precision = gram + np.eye(gram.shape[1])
         projected = by_noise * (self.rows.T @ self.right)
         solved = np.linalg.solve(precision, projected[..., None])[..., 0]
         # Residual sum of squares of the posterior mean, with the prior's part: b^T b - p^T M^-1 p.
-        square = (self.right @ self.right - np.einsum("ck,ck->c", projected, solved)) / of.noise**2
+        square = (self.right @ self.right
+                  - np.einsum("ck,ck->c", projected, solved)) / cells.noise**2
         # Evidence of each solution: log p - (log det M + square) / 2 - m log s.
-        log = of.log - 0.5 * (np.linalg.slogdet(precision)[1] + square) \
-            - len(self.right) * np.log(of.noise)
+        log = cells.log - 0.5 * (np.linalg.slogdet(precision)[1] + square) \
+            - len(self.right) * np.log(cells.noise)
         # Solutions less likely than e^-50 times the best change no figure.
         matters = log > log.max() - NEVER
-        kept_grid = Grid(*(value[matters] for value in vars(of).values()))
+        kept_grid = Grid(*(value[matters] for value in vars(cells).values()))
         scaled = by_noise[matters]
         covariance = scaled[:, :, None] * np.linalg.inv(precision[matters]) * scaled[:, None, :]
         total = np.logaddexp.reduce(log[matters])
@@ -149,8 +150,8 @@ class Belief:
     @cached_property
     def kinds(self) -> FloatArray:
         """Probability of each kind, shape (4,)."""
-        of, share, _, _ = self._cells
-        return np.bincount(of.kind.astype(int), share, len(CORRECTION_KINDS)).astype(np.float64)
+        cells, share, _, _ = self._cells
+        return np.bincount(cells.kind.astype(int), share, len(CORRECTION_KINDS)).astype(np.float64)
 
     @cached_property
     def _solutions(self) -> FloatArray:
@@ -166,17 +167,17 @@ class Belief:
     def covariance(self) -> FloatArray:
         """Covariance of the coefficients [px^2], shape (6, 6), doubts between solutions included.
         """
-        of, share, covariance, _ = self._cells
+        cells, share, covariance, _ = self._cells
         # Law of total variance: mean of covariances plus covariance of means.
         away = self._solutions - self.coefficients
-        mean_covariance = np.einsum("c,cjk->jk", share * of.noise**2, covariance)
+        mean_covariance = np.einsum("c,cjk->jk", share * cells.noise**2, covariance)
         return np.asarray(mean_covariance + (share[:, None] * away).T @ away)
 
     @cached_property
     def noise(self) -> float:
         """Mean variance of a measurement [px^2]."""
-        of, share, _, _ = self._cells
-        return float(share @ of.noise**2)
+        cells, share, _, _ = self._cells
+        return float(share @ cells.noise**2)
 
     def variance(self, rows: FloatArray) -> FloatArray:
         """Return the variance of further measurements [px^2], shape (m,), noise included."""
@@ -196,7 +197,7 @@ class Belief:
         Each feature is left out of the whole procedure; the density is the logarithm of that of its
         rows, given the others.
         """
-        of, share, covariance, _ = self._cells
+        cells, share, covariance, _ = self._cells
         errors = np.empty(len(self.right))
         density = np.empty(int(self.feature.max()) + 1)
         residuals = self.right - self._solutions @ self.rows.T
@@ -206,9 +207,9 @@ class Belief:
             keep = np.eye(len(rows)) - self.rows[rows] @ covariance @ self.rows[rows].T
             away = np.linalg.solve(keep, residuals[:, rows, None])[..., 0]
             # Density of the feature given the others, by which each solution is weighed without it.
-            square = np.einsum("cm,cm->c", residuals[:, rows], away) / of.noise**2
+            square = np.einsum("cm,cm->c", residuals[:, rows], away) / cells.noise**2
             log = 0.5 * (np.linalg.slogdet(keep)[1] - square) \
-                - len(rows) * (np.log(of.noise) + 0.5 * np.log(2 * np.pi))
+                - len(rows) * (np.log(cells.noise) + 0.5 * np.log(2 * np.pi))
             log_weight = np.log(share) - log
             density[number] = -np.logaddexp.reduce(log_weight)
             # The average of all solutions, with the weights that they have without the feature.

@@ -72,11 +72,11 @@ def _connect(address: str) -> Client:
     """
     from distributed import Client
 
-    wrong = TermselError(f"{address!r} is no address of a scheduler",
+    refused = TermselError(f"{address!r} is no address of a scheduler",
                          hint="Write --scheduler tcp://host:8786.")
     # A client of dask would wait, then fail in its own words.
     if not _has_port(address):
-        raise wrong
+        raise refused
     until = time.monotonic() + PATIENCE
     has_warned = False
     while True:
@@ -84,7 +84,7 @@ def _connect(address: str) -> Client:
             client = Client(address, timeout=5, set_as_default=False)
             client.wait_for_workers(1, timeout=max(until - time.monotonic(), 1))
         except ValueError as error:
-            raise wrong from error
+            raise refused from error
         except (OSError, TimeoutError) as error:
             if time.monotonic() > until:
                 raise TermselError(

@@ -196,9 +196,9 @@ def _matches(settings: SetSettings) -> tuple[FeatureSet, Points]:
     features, independent = _split(scene, settings.count)
     rng = np.random.default_rng([settings.seed, 1])
     # Blunders lie in any direction, 5 to 60 px off.
-    wrong = rng.permutation(settings.count)[:round(settings.settings["wrong"] * settings.count)]
+    moved = rng.permutation(settings.count)[:round(settings.settings["wrong"] * settings.count)]
     image = features.points.image.copy()
-    image[wrong] += _directions(rng, len(wrong)) * rng.uniform(_NEAREST, _FARTHEST, (len(wrong), 1))
+    image[moved] += _directions(rng, len(moved)) * rng.uniform(_NEAREST, _FARTHEST, (len(moved), 1))
     return features.with_(points=replace(features.points, image=image)), independent
 
 

@@ -79,24 +79,24 @@ def described_measured(names: Sequence[str], files: Mapping[str, str]) -> dict[s
     sets = [measured(name) for name in names]
     places = json.loads(files[FOLDS])
     record_sets = []
-    for each in sets:
-        file = places[each.name]["file"]
+    for entry in sets:
+        file = places[entry.name]["file"]
         columns = files[file].partition("\n")[0].split(",")
-        fields = [{"@type": "cr:Field", "@id": f"{each.name}/{column}", "name": column,
+        fields = [{"@type": "cr:Field", "@id": f"{entry.name}/{column}", "name": column,
                    "description": MEASURED_COLUMNS.get(column, ("", "image position [px]"))[1],
                    "dataType": MEASURED_COLUMNS.get(column, ("sc:Float", ""))[0],
                    "source": {"fileObject": {"@id": file}, "extract": {"column": column}}}
                   for column in columns]
         record_sets.append({
-            "@type": "cr:RecordSet", "@id": f"{each.name}/points", "name": f"{each.name}/points",
-            "description": f"Points of the set {each.name} of the kind {each.kind}, from "
-                           f"{each.source}, {each.licence}.", "field": fields})
+            "@type": "cr:RecordSet", "@id": f"{entry.name}/points", "name": f"{entry.name}/points",
+            "description": f"Points of the set {entry.name} of the kind {entry.kind}, from "
+                           f"{entry.source}, {entry.licence}.", "field": fields})
     return {
         "@context": CONTEXT, "@type": "sc:Dataset", "conformsTo":
         "http://mlcommons.org/croissant/1.0", "name": "termsel-bench-measured", "version": VERSION,
         "description": "Measured ground control: old maps and vertical photos by volunteers, and "
                        "automatic matches, with frozen folds. Blunders are not removed.",
-        "license": sorted({f"https://spdx.org/licenses/{each.licence}.html" for each in sets}),
+        "license": sorted({f"https://spdx.org/licenses/{entry.licence}.html" for entry in sets}),
         "isLiveDataset": False,
         "creator": {"@type": "sc:Organization", "name": "See the source of each set"},
         "citeAs": "The sources of the sets, and termsel-bench " + VERSION,

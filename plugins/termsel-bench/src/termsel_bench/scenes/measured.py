@@ -166,7 +166,7 @@ def published_files(names: Sequence[str]) -> dict[str, str]:
 
     Licence and meta.json of each folder are among them.
     """
-    found: dict[str, str] = {}
+    contents: dict[str, str] = {}
     for source in SOURCES:
         files_of_source = [file for name, (its, file) in _source_and_file_by_set().items()
                            if its == source and name in names]
@@ -174,26 +174,26 @@ def published_files(names: Sequence[str]) -> dict[str, str]:
             continue
         extra = ["photos.csv"] if "photos.csv" in _meta(source.folder)["sha256"] else []
         for file in (*files_of_source, *extra, "LICENSE", "meta.json"):
-            found[f"{source.folder}/{file}"] = _text(source.folder, file)
+            contents[f"{source.folder}/{file}"] = _text(source.folder, file)
     folds = json.loads(_text("", FOLDS))
     fold_by_set = {}
     for name in names:
         source, file = _source_and_file_by_set()[name]
         fold_by_set[name] = {"file": f"{source.folder}/{file}", "fold": folds[name]}
-    found[FOLDS] = json.dumps(fold_by_set, indent=1) + "\n"
-    return found
+    contents[FOLDS] = json.dumps(fold_by_set, indent=1) + "\n"
+    return contents
 
 
 @lru_cache(maxsize=1)
 def _source_and_file_by_set() -> Mapping[str, tuple[Source, str]]:
     """Return the source and the file of points of each set, by the name of the set."""
-    found: dict[str, tuple[Source, str]] = {}
+    by_set: dict[str, tuple[Source, str]] = {}
     for source in SOURCES:
         # Sets are kind-001, ... in the order of file names; photos.csv holds no points.
         of_points = sorted(file for file in _meta(source.folder)["sha256"] if file != "photos.csv")
         for number, file in enumerate(of_points, 1):
-            found[f"{source.kind}-{number:03d}"] = (source, file)
-    return found
+            by_set[f"{source.kind}-{number:03d}"] = (source, file)
+    return by_set
 
 
 @lru_cache(maxsize=8)

@@ -371,9 +371,9 @@ class _Run(Steps):
         rows = sum(map(len, of_control))
         limit = max(WRONG, -float(stdtrit(state.freedom_control, _ANY / (2 * max(rows, 1)))))
         for i, (residual, control) in enumerate(zip(of_control, self.control, strict=True)):
-            wrong = np.abs(residual) > limit * self.expected(i)
+            is_blunder = np.abs(residual) > limit * self.expected(i)
             # Both rows of a point, or of a line, go together.
-            names = {name for name, is_wrong in zip(control.feature, wrong, strict=True)
+            names = {name for name, is_wrong in zip(control.feature, is_blunder, strict=True)
                      if is_wrong}
             agrees = np.array([name not in names for name in control.feature], bool)
             changed |= bool((agrees != state.control_in_use[i]).any())

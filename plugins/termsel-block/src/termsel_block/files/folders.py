@@ -208,17 +208,17 @@ def _control_and_ties(result: BlockResult, i: int, image: BlockImage) -> Feature
     size = image.size
     if image.features is None:
         return FeatureSet(tie_points, crs=result.block.crs, image_size=size)
-    wrong = {name for name, used in zip(result.control[i].feature, state.control_in_use[i],
+    rejected = {name for name, used in zip(result.control[i].feature, state.control_in_use[i],
                                         strict=True) if not used}
     points = image.features.points
     lines = image.features.lines
-    roles = tuple("off" if name in wrong else role or "control"
+    roles = tuple("off" if name in rejected else role or "control"
                   for name, role in zip(points.ids, points.roles, strict=True))
     sigma = np.full((len(points), 2), state.sigma_control)
     if points.sigma is not None:
         sigma = points.sigma
     points = replace(points, sigma=sigma, roles=roles)
-    lines = lines.take([name not in wrong for name in lines.ids])
+    lines = lines.take([name not in rejected for name in lines.ids])
     return FeatureSet(points.join(tie_points), lines, crs=result.block.crs,
                       image_size=size or image.features.image_size)
 

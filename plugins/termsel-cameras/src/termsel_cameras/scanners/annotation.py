@@ -306,18 +306,18 @@ def _orbit(root: ElementTree.Element, start: float, duration: float,
 def _ground_ranges(root: ElementTree.Element, start: float) -> tuple[GroundRange, ...]:
     """Return the polynomials from slant to ground range, in the order of time, which must grow."""
     records = root.findall("coordinateConversion/coordinateConversionList/coordinateConversion")
-    found = []
+    ranges = []
     for record in records:
         words = text_of(record, "srgrCoefficients").split()
-        found.append(GroundRange(
+        ranges.append(GroundRange(
             time=seconds_of(text_of(record, "azimuthTime")) - start,
             origin=number_of(record, "sr0"),
             coefficients=tuple(as_number("srgrCoefficients", word) for word in words)))
-    times = np.array([polynomial.time for polynomial in found])
-    if not found or (np.diff(times) <= 0).any() or any(
-            not polynomial.coefficients for polynomial in found):
+    times = np.array([polynomial.time for polynomial in ranges])
+    if not ranges or (np.diff(times) <= 0).any() or any(
+            not polynomial.coefficients for polynomial in ranges):
         raise TermselError("coordinateConversionList has no polynomials in the order of time")
-    return tuple(found)
+    return tuple(ranges)
 
 
 def _bursts(root: ElementTree.Element, start: float, lines: int) -> tuple[Burst, ...]:

@@ -121,12 +121,12 @@ def _metadata_of_dimap(root: ElementTree.Element, name: str) -> Metadata:
     ends = np.array([-line, lines - 1.0 - line]) * period
     if not period > 0 or min(lines, samples) < 1:
         raise TermselError("the line period or the size of the image is not positive")
-    for what, some in (("Ephemeris/Points", times), ("Satellite_Attitudes", moments)):
+    for block, when in (("Ephemeris/Points", times), ("Satellite_Attitudes", moments)):
         # Both are interpolated between two times, and angles go straight on beyond the last ones.
-        if len(some) < 2 or (np.diff(some) <= 0).any() or some[0] > ends[1] or some[-1] < ends[0]:
-            raise TermselError(f"{what} does not cover the time of the scene",
+        if len(when) < 2 or (np.diff(when) <= 0).any() or when[0] > ends[1] or when[-1] < ends[0]:
+            raise TermselError(f"{block} does not cover the time of the scene",
                                hint="Give METADATA.DIM of this scene, as the vendor delivers it.")
-    near, close = (_times_about_scene(some, ends) for some in (times, moments))
+    near, close = (_times_about_scene(when, ends) for when in (times, moments))
     looks = _looks(strip)
     keep = np.unique(np.linspace(0, len(looks) - 1, min(NODES, len(looks))).round().astype(int))
     return Metadata(
@@ -158,12 +158,12 @@ def _attitude(strip: ElementTree.Element, start: float) -> tuple[FloatArray, Flo
     below = "Satellite_Attitudes"
     for where in (f"{below}/Corrected_Attitudes/Corrected_Attitude/Angles",
                   f"{below}/Raw_Attitudes/Aocs_Attitude/Angular_Speeds_List/Angular_Speeds"):
-        found = [element for element in strip.findall(where)
+        elements = [element for element in strip.findall(where)
                  if (element.findtext("OUT_OF_RANGE") or "N").strip().upper() != "Y"]
-        if not found:
+        if not elements:
             continue
-        times = np.array([seconds_of(text_of(element, "TIME")) - start for element in found])
-        values = np.array([[number_of(element, name) for name in ANGLES] for element in found])
+        times = np.array([seconds_of(text_of(element, "TIME")) - start for element in elements])
+        values = np.array([[number_of(element, name) for name in ANGLES] for element in elements])
         if where.endswith("Speeds"):  # by trapezia; the biases take what is constant
             steps = np.diff(times)[:, None] * (values[1:] + values[:-1]) / 2
             values = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
@@ -178,9 +178,9 @@ def _looks(strip: ElementTree.Element) -> FloatArray:
     Raises TermselError if they are not in a row.
     """
     first = strip.find("Sensor_Configuration/Instrument_Look_Angles_List/Instrument_Look_Angles")
-    found = [] if first is None else first.findall("Look_Angles_List/Look_Angles")
+    elements = [] if first is None else first.findall("Look_Angles_List/Look_Angles")
     looks = np.array([[number_of(element, name) for name in ("DETECTOR_ID", "PSI_X", "PSI_Y")]
-                      for element in found]).reshape(-1, 3)
+                      for element in elements]).reshape(-1, 3)
     if len(looks) < 2 or (np.diff(looks[:, 0]) <= 0).any() or not (
             (np.diff(looks[:, 2]) > 0).all() or (np.diff(looks[:, 2]) < 0).all()):
         raise TermselError("Instrument_Look_Angles_List has no two detectors in a row")

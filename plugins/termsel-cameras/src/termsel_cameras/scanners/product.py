@@ -191,9 +191,9 @@ def _is_annotation(name: str) -> bool:
 def _image(annotation: Path) -> Image:
     """Return the image of an annotation, with swath and polarisation by its name; "" if not stated.
     """
-    found = NAMES.match(annotation.name)
-    return Image(annotation, found["swath"].upper() if found else "",
-                 found["polarisation"].upper() if found else "")
+    match = NAMES.match(annotation.name)
+    return Image(annotation, match["swath"].upper() if match else "",
+                 match["polarisation"].upper() if match else "")
 
 
 def _sorted_names(annotations: list[Path]) -> tuple[Image, ...]:

@@ -187,9 +187,9 @@ def posterior_of(paper: Paper, plan: FloatArray, measured: FloatArray,
         # The trace of what points contribute to the normal matrix, by all of it.
         effective = UNKNOWNS - float(np.trace(covariance @ prior))
         if sigma is None:
-            left = float(((measured - _image(values, plan)) ** 2).sum())
+            square = float(((measured - _image(values, plan)) ** 2).sum())
             freedom = max(measured.size - effective, 0.0)
-            noise = float(np.sqrt((paper.freedom * paper.noise**2 + left)
+            noise = float(np.sqrt((paper.freedom * paper.noise**2 + square)
                                   / (paper.freedom + freedom)))
     return _Posterior(values, covariance, noise, effective)
 
@@ -307,12 +307,12 @@ class SheetOfSeries(Method):
         assert isinstance(fitted.model, SeriesSheet)
         paper = fitted.model.paper
         spreads = paper.spreads
-        own = min(fitted.effective, float(UNKNOWNS))
+        determined = min(fitted.effective, float(UNKNOWNS))
         return (f"{paper.sheets} other sheets of the series lend it their scale, to "
                 f"{100 * spreads[0]:.2g} %, their turn, to {np.degrees(spreads[1]):.2g} deg, their "
                 f"stretch and shear, to {100 * spreads[2]:.2g} and {100 * spreads[3]:.2g} %, and "
                 f"their noise of {paper.noise:.2g} px. The points of this sheet determine "
-                f"{own:.1f} of its {UNKNOWNS} numbers.")
+                f"{determined:.1f} of its {UNKNOWNS} numbers.")
 
 
 def stated_paper(features: FeatureSet) -> str:

@@ -149,9 +149,9 @@ class MatchedLines(Problem):
         nearest, away = self._nearest(coefficients)
         # A piece that counts twice is there twice.
         if times is not None:
-            of = np.repeat(np.arange(len(nearest)), times.astype(np.intp))
-            nearest = nearest[of]
-            away = away[of]
+            pieces = np.repeat(np.arange(len(nearest)), times.astype(np.intp))
+            nearest = nearest[pieces]
+            away = away[pieces]
         near = away[away <= _LIMIT * self._half]
         spread = float(np.median(near)) / _RMS_MEDIAN if len(near) else 0.0
         return np.asarray(

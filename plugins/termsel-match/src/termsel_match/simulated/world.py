@@ -134,10 +134,10 @@ class World:
         turn = rng.uniform(0, 2 * np.pi)
         # The attitude that the vendor believes in is off by a constant, and drifts.
         share = rng.choice([-1, 1], 2) * rng.uniform(0.03, 0.08, 2)
-        wrong = self.off * true.ifov * np.array([np.sin(turn), np.cos(turn)])
+        offset = self.off * true.ifov * np.array([np.sin(turn), np.cos(turn)])
         drift = self.off * true.ifov * share / (true.centre[0] * true.line_period)
         roll, pitch = (Angle((angle.drift[0] + float(constant), float(slope)))
-                       for angle, constant, slope in zip((true.roll, true.pitch), wrong, drift,
+                       for angle, constant, slope in zip((true.roll, true.pitch), offset, drift,
                                                          strict=True))
         nominal = replace(true, roll=roll, pitch=pitch)
         # An RPC is fitted to a grid in the image at several heights, as vendors do.

@@ -209,15 +209,15 @@ def _measures(result: Result) -> tuple[Measure, ...]:
 
 def _predicted_figures(prediction: Prediction) -> tuple[Measure, ...]:
     """Return the figures of a predicted accuracy, named as predicted."""
-    found = f"predicted {prediction.method}, with a {100 * prediction.level:g} % interval"
+    source = f"predicted {prediction.method}, with a {100 * prediction.level:g} % interval"
     measures = []
     if prediction.metres is not None:
         rmse, low, high = prediction.metres
         measures.append(Measure("predicted root mean square error of planimetry",
-                                f"{found} from {low:.3g} to {high:.3g} m; no independent test",
+                                f"{source} from {low:.3g} to {high:.3g} m; no independent test",
                                 rmse, "m"))
     return (*measures, Measure(
-        "predicted root mean square error in the image", f"{found} from {prediction.low:.3g} to "
+        "predicted root mean square error in the image", f"{source} from {prediction.low:.3g} to "
         f"{prediction.high:.3g} px; no independent test", prediction.rmse, "px"))
 
 
