@@ -70,7 +70,7 @@ ROADS_READ = FeatureSet(
     lines=Lines(("a", "7", "7"),
                 [[[20, 10], [45, 30]], [[2, 1], [4, 3]], [[4, 3], [6, 8]]],
                 [[[5, 44, 10], [5.1, 44.1, 20]], [[6, 44, 1], [6.1, 44, 2]],
-                 [[6.1, 44, 2], [6.2, 45, 3]]]), crs="EPSG:4326")
+                 [[6.1, 44, 2], [6.2, 45, 3]]]), crs="EPSG:4979")
 SUITES = {
     "qgis-points": checks(QgisPoints, content=QGIS.encode(), expected=QGIS_READ,
                           filename="i.points"),
@@ -408,7 +408,7 @@ def test_examples_of_the_pages_are_read(page: Path, tmp_path: Path) -> None:
         options = {"join": "name", "image_lines": put(tmp_path, blocks[1], "image.csv")}
     features = read_file(put(tmp_path, example), readers(), None, options)
     expected = {"asp-gcp": "", "geojson-points": "EPSG:4979", "envi-pts": "EPSG:32612",
-                "points-csv": "EPSG:4979", "lines-csv": "EPSG:4979", "geojson-lines": "EPSG:4326",
+                "points-csv": "EPSG:4979", "lines-csv": "EPSG:4979", "geojson-lines": "EPSG:4979",
                 "areas-csv": "EPSG:4979"}
     assert features.crs == expected.get(name[1], "EPSG:32631")
     assert len(features) == (1 if name[1] in ("lines-csv", "areas-csv") else 2)

@@ -87,10 +87,10 @@ def test_a_crs_that_is_named_is_taken(tmp_path: Path, caplog: pytest.LogCaptureF
 
 
 @pytest.mark.parametrize(("options", "lines", "unit", "right"), [
-    ({"resolution": 10.0, "crs": "EPSG:4326"}, 2, "degree", "1.8e-05"),  # metres are meant
-    ({"resolution": 2e-5}, 30_000_000, "metre", "2"),                    # degrees are meant
-    ({"resolution": 200.0}, 5, "metre", "2"),                            # centimetres
-    ({"resolution": 0.01}, 60_000, "metre", "2")])
+    ({"resolution": 10.0, "crs": "EPSG:4326"}, 2, "degrees", "1.8e-05"),  # metres are meant
+    ({"resolution": 2e-5}, 30_000_000, "metres", "2"),                    # degrees are meant
+    ({"resolution": 200.0}, 5, "metres", "2"),                            # centimetres
+    ({"resolution": 0.01}, 60_000, "metres", "2")])
 def test_a_map_in_the_wrong_unit_is_refused(options: dict[str, Any], lines: int, unit: str,
                                             right: str, tmp_path: Path) -> None:
     with pytest.raises(termsel.TermselError) as caught:
@@ -99,7 +99,7 @@ def test_a_map_in_the_wrong_unit_is_refused(options: dict[str, Any], lines: int,
     assert f"{unit} the map would have " in text
     shown = int(text.partition("would have ")[2].partition(" lines")[0])
     assert shown == pytest.approx(lines, rel=0.1, abs=1)
-    assert f"units of the map, {unit}: the image has {right}." in text
+    assert f"units of the map, {unit}: a pixel of the image is {right} {unit}." in text
     assert not (tmp_path / "map.tif").exists()
 
 

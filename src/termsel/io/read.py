@@ -382,12 +382,13 @@ def find_reader(path: Path, readers: Iterable[type[Reader]], format: str | None 
 
 
 def _refuse_other_content(path: Path, head: bytes) -> None:
-    """Raise TermselError for a web page, and GeoJSON of other geometry, which no reader takes."""
+    """Raise TermselError for a web page, other XML and GeoJSON of other geometry."""
     text = head.decode("utf-8-sig", errors="replace").lstrip()
     if text[:14].lower().startswith(("<!doctype html", "<html")):
         raise TermselError("this file is a web page, not data", file=path,
                            hint="Often it stands for a download that failed: fetch the data again.")
-    if text.startswith("<"):
+    # A VRT is a raster, which a package may read.
+    if text.startswith("<") and not text.startswith("<VRTDataset"):
         root = re.search(r"<([A-Za-z_][\w.:-]{0,60})", text)
         name = f" (<{root[1]}>)" if root else ""
         raise TermselError(f"this is XML{name} of no kind that termsel reads, or it is damaged",
