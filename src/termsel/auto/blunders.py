@@ -10,9 +10,9 @@ again once the features in use predict it. Where more than a third of many point
 that a majority agrees on come first (see `termsel.auto.majority`).
 
 A prediction far from the other features rests on the form of the model, and a blunder there looks
-like a bend of the image. No test shows them apart, and only an error that is large even against the
-variance that its place gives is named by one. Of points, what is likelier is told all the same: as
-a blunder or as a right point, under all polynomials and random fields that the others support.
+like a bend of the image. No test distinguishes them, and only an error that is large even against
+the variance that its place gives is named by one. Of points, what is likelier is said all the same:
+a blunder or a right point, under all polynomials and random fields that the others support.
 Points that are likelier blunders are left out. Others with such an error stay in use, and are named
 as undecided.
 

@@ -264,7 +264,7 @@ def required(fitted: Fit, base: Fit) -> float:
         return np.inf if says_nothing else _equally_sure_margin(base)
     if not method_of(fitted).central:
         return CLEAR_MARGIN
-    # Few points measured roughly, as in a drawn bird's-eye view, hardly show standard errors apart;
+    # Few points measured roughly, as in a drawn bird's-eye view, hardly resolve standard errors;
     # that they support an oblique view, or a camera near by, is evidence of its own.
     view = fitted.view
     calls_for_camera = view is not None and (

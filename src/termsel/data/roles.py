@@ -29,7 +29,7 @@ from termsel.data.fit_data import FitData, carriers
 from termsel.data.record.chances import quantile
 from termsel.data.tables.tabular import rows_at, unchecked
 
-# Points that lie closer to each other than they can show anything apart: twins.
+# Points that lie closer to each other than anything can differ between them: twins.
 #
 # Twins repeat one measurement. If one is control and the other independent, the second confirms
 # whatever was fitted to the first; if one is held out, the other predicts it.

@@ -53,7 +53,7 @@ def rpcs_of_tree(tree: object) -> dict[str, Items]:
         if items.keys() >= _IS_RPC:
             # The nearest key above that says more than "rpc" names the image or band.
             name = next((key for key in reversed(path) if key.lower() != "rpc"), "")
-            # Where one name stands for several, all keys show them apart.
+            # Where one name stands for several, all keys distinguish them.
             rpcs[name if name not in rpcs else "/".join(path)] = items
     return rpcs
 

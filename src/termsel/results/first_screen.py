@@ -312,7 +312,7 @@ def _no_outlier_detected(record: Record) -> str:
     if nothing_fits:
         return (f"not detectable: no model fits these {record.data.counts.word}; several are "
                 "wrong, or no model is suitable")
-    if test.limit is None or is_blind:
+    if is_blind or test.limit is None:
         return f"not detectable by this model among {features}"
     if test.limit > _BLUNT * test.extent:
         return (f"none found among {features}; below {rounded(test.limit)} px most cannot be "

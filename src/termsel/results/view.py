@@ -27,7 +27,7 @@ Row = dict[str, Any]
 SIGMA_SIDE = 28
 """Cells along either side of the map of uncertainty."""
 DRAWN, LARGEST_RESIDUALS = 2000, 1000
-"""Most residuals that are drawn, and how many of them are the largest: nobody can show more apart,
+"""Most residuals that are drawn, and how many of them are the largest: nobody can distinguish more,
 and no browser draws a hundred thousand."""
 SMOOTH = 8
 """Control whose heights a cell of it has, so that it shows the model and not steps of heights."""

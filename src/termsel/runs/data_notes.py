@@ -121,7 +121,7 @@ def two_groups(features: FeatureSet) -> TwoGroups | None:
     plan = plan_of(features.crs, points.ground) if len(points) >= LEAST else None
     if plan is None or not np.isfinite(plan).all():
         return None
-    # [1, u, z] of the docstring; z only where all heights are known.
+    # [1, u, z] of the equation above; z only where all heights are known.
     design = np.column_stack([np.ones(len(plan)), plan])
     if np.isfinite(points.ground[:, 2]).all():
         design = np.column_stack([design, points.ground[:, 2] - points.ground[:, 2].mean()])
@@ -334,7 +334,7 @@ def _rounded(size: float) -> str:
 
 def _note_on_twins(points: Points, independent: Points) -> Iterator[str]:
     """Yield notes on points too close to each other; nothing without any."""
-    # Too close to show anything apart: they are held out together.
+    # Too close for anything to differ between them: they are held out together.
     close_points = groups(points.ids, twins(points.ground))
     if close_points:
         yield (f"Points too close to each other to be independent share a role and a fold: "

@@ -63,7 +63,7 @@ class Worker:
 
     Attributes
     ----------
-    show : callable
+    tell : callable
         Called, in a thread of the worker, with each answer.
     """
 

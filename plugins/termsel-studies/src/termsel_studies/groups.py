@@ -105,7 +105,7 @@ def _measure(rows: Sequence[Row]) -> str:
 
 def _varying(rows: Sequence[Row], labels: Sequence[str],
              given_labels: Sequence[str] = ()) -> list[str]:
-    """Return the labels that show rows apart, of those rows that are alike in other labels.
+    """Return the labels that distinguish rows, of those rows that are alike in other labels.
 
     The first or last one where none does.
     """

@@ -454,7 +454,7 @@ def _names_next_to(path: Path) -> Iterator[str]:
     """Yield the names of files in a raster's folder that are its name with another ending."""
     beginnings = _neighbour_beginnings(path)
     for entry in _entries(str(path.parent)):
-        # Without regard to case, as GDAL tries both, and some file systems do not show them apart.
+        # Without regard to case, as GDAL tries both, and some file systems do not distinguish them.
         if entry.casefold().startswith(beginnings) and entry != path.name:
             yield entry
 

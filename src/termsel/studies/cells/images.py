@@ -33,7 +33,7 @@ def folders_of(labels: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
         for part in ("problem", "solver"):
             if len({other.get(part) for other in labels_of_data[cell["data"], cell["split"]]}) > 1:
                 name += f"-{file_word(str(cell[part]), 'image')}"
-        # Capitals do not show names apart on every disk.
+        # Capitals do not distinguish names on every disk.
         if name.casefold() in owners:
             raise TermselError(f"{owners[name.casefold()]} and {cell['data']} would have the same "
                                f"folder {IMAGES}/{name}", hint="Rename one of them.")

@@ -15,7 +15,7 @@ from termsel.studies.cells.neighbours import Batch, batch_of
 from termsel.studies.cells.verdicts import DOUBTFUL, FIT, UNFIT, Accept, verdicts_of
 
 LABELS = ("problem", "data", "split", "strategy", "model", "criterion", "solver", "seed")
-"""What shows the cells of a study apart, in the order in which they vary."""
+"""What distinguishes the cells of a study, in the order in which they vary."""
 
 WAITING = "waiting"
 """State of a cell that is not finished."""
@@ -53,7 +53,7 @@ Row = dict[str, Any]
 def columns_of(strategies: Sequence[str], measures: Sequence[str] = ()) -> tuple[str, ...]:
     """Return the columns of a study's table."""
     if tuple(strategies) == ("auto",):
-        # Of images first what people look for; what shows cells of a study apart comes last.
+        # Of images first what people look for; what distinguishes cells of a study comes last.
         further = [name for name in (*_AUTO, *_BOTH) if name not in _OF_IMAGES]
         return (*_OF_IMAGES, *further, *measures, "place", "doubt", "notes",
                 *(name for name in LABELS if name != "data"), "cell", *TIMES)

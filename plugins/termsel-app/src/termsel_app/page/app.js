@@ -261,11 +261,12 @@ let clicks = Promise.resolve();
 
 /** Measure where the user has clicked, after the clicks before. @param {"image" | "map"} side @param {Place} coordinate */
 function clicked(side, coordinate) {
-  clicks = clicks.then(() => measure(side, coordinate));
+  const tool = state.tool;
+  clicks = clicks.then(() => measure(side, coordinate, tool)).catch(error => alertUser(String(error)));
 }
 
-/** @param {"image" | "map"} side @param {Place} coordinate */
-async function measure(side, coordinate) {
+/** @param {"image" | "map"} side @param {Place} coordinate @param {string} tool that was chosen when the user clicked */
+async function measure(side, coordinate, tool) {
   const record = recordOf(state.chosen);
   const other = side === "image" ? "map" : "image";
   let given;
@@ -275,7 +276,7 @@ async function measure(side, coordinate) {
   } else if (record && record.kind === "point" && waitsFor(other)) {
     given = { id: record.id, ...at(side, record, [coordinate]) }; // clicked once more, where it belongs
   } else {
-    given = { kind: state.tool, ...at(side, { kind: state.tool }, [coordinate]) };
+    given = { kind: tool, ...at(side, { kind: tool }, [coordinate]) };
   }
   const answer = await attempt(() => call("put", given));
   if (!answer) return;

@@ -279,7 +279,7 @@ class KnownFrame(SensorModel):
         rows = np.ones((len(cameras), 3))
         costs = measured.costs(cameras, rows, camera.sigma)
         far = np.linalg.norm(cameras.position[0])
-        # Cameras that cost nearly the same and stand elsewhere: the points do not show them apart.
+        # Cameras that cost nearly the same and stand elsewhere: the points do not distinguish them.
         distances = np.linalg.norm(cameras.position - cameras.position[0], axis=1)
         elsewhere = distances > APART * far
         as_good = costs < costs[0] + ALIKE

@@ -17,7 +17,7 @@ NEARLY = 1.1
 alike."""
 
 MIN_POINTS_OF_SHEET = 4
-"""Points from which on a sheet shows projections apart."""
+"""Points from which on a sheet distinguishes projections."""
 
 
 @dataclass(frozen=True)

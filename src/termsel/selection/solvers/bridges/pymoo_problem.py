@@ -56,7 +56,7 @@ class Variables:
         """Return genes in the form of variables."""
         if not (len(X) and isinstance(X[0], dict)):
             return genes
-        # Each value by its own type: pymoo's operators for mixed variables show them apart by it.
+        # Each value by its own type: pymoo's operators for mixed variables distinguish them by it.
         individuals = []
         for row in genes.tolist():
             values = zip(self.named, self.kinds, row, strict=True)
