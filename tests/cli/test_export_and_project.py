@@ -56,6 +56,14 @@ def test_export_writes_what_is_asked_for(folder: Path, tmp_path: Path) -> None:
     assert termsel.read_rpc(target) == read_result(folder).to_rpc()
 
 
+@pytest.mark.parametrize("to", ["rpc-vrt", "gcp-vrt"])
+def test_a_vrt_without_pixels_is_said(of_all_terms: termsel.Result, tmp_path: Path, to: str,
+                                      caplog: pytest.LogCaptureFixture) -> None:
+    termsel.export(of_all_terms, to, tmp_path / "scene.vrt")
+    assert "scene.vrt has no pixels: give the image with --image FILE." in caplog.text
+    assert "Source>" not in (tmp_path / "scene.vrt").read_text()
+
+
 def test_export_in_python(folder: Path, tmp_path: Path) -> None:
     result = termsel.read_result(folder)
     termsel.export(result, "gcp-grid-vrt", tmp_path / "grid.vrt", height=1000.0, across=4)

@@ -226,6 +226,7 @@ def test_a_picture_is_written(call: Call, searched: Path, tmp_path: Path, suffix
     (("{}", "terms", "-o", "x.gif"), ".svg, .png, .pdf"),
     (("{}", "terms", "-o", "x"), ".svg, .png, .pdf"),
     (("{}", "termz", "-o", "x.svg"), "terms"),
+    (("terms", "{}", "-o", "x.svg"), "Error: DIR comes before KIND: termsel plot "),
     (("{}", "candidates", "-o", "x.svg"), "it was not chosen automatically (strategy auto)"),
     (("nowhere", "terms", "-o", "x.svg"), "there is no result here"),
     (("{}", "terms", "-o", "-"), "cannot write to stdout"),

@@ -13,9 +13,22 @@ CHART_NAMES = ("residuals", "ground", "worst", "baselines", "candidates", "front
          "empires", "frequency", "terms", "correlations", "sigma")
 
 
+class ChartName(click.Choice[str]):
+    """The name of a chart, which comes after the folder."""
+
+    def convert(self, value: str, param: click.Parameter | None,
+                ctx: click.Context | None) -> str:
+        """Return the name; raise TermselError where folder and name are exchanged."""
+        folder = "" if ctx is None else str(ctx.params.get("folder", ""))
+        if value not in self.choices and folder in self.choices:
+            raise TermselError(f"DIR comes before KIND: termsel plot {value} {folder} "
+                               f"-o {folder}.svg")
+        return super().convert(value, param, ctx)
+
+
 @click.command()
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
-@click.argument("kind", metavar="KIND", type=click.Choice(CHART_NAMES))
+@click.argument("kind", metavar="KIND", type=ChartName(CHART_NAMES))
 @click.option("--output", "-o", metavar="FILE", required=True, type=click.Path(path_type=Path),
               help="The picture to write; its name ends in .svg, .png or .pdf.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")

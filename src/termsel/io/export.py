@@ -10,7 +10,7 @@ from termsel.core.display.quiet import quieted
 from termsel.core.errors import TermselError
 from termsel.core.files.atomic import private_folder
 from termsel.core.files.names import is_there, refuse_link
-from termsel.formats.vrt import picture_for
+from termsel.formats.vrt import IMAGE, picture_for
 from termsel.io.replacing import require_replaceable
 from termsel.plugins.registry import registry
 
@@ -127,4 +127,6 @@ def export(result: Result, to: str, path: Path | str, *, overwrite: bool = False
         refuse_link(file)  # only the first has a name that somebody typed
     # The writer is left to make it whole or not at all.
     writer.write(result, path)
+    if IMAGE in writer.declared_options and writer.options["image"] is None:
+        log.warning("Warning: %s has no pixels: give the image with --image FILE.", path.name)
     return tuple(file for file in writer.files(path) if file.exists())
