@@ -52,6 +52,17 @@ def made(result: termsel.Result, folder: Path, size: tuple[int, int] = SIZE, **o
         return raster.crs.to_epsg(), raster.shape, raster.res[0]
 
 
+@pytest.mark.parametrize(("crs", "says"), [
+    ("EPSG:32633", "EPSG:32633 is for the area from 0.0 N, 12.0 E to 84.0 N, 18.0 E, but the map "
+                   "is at 34.8 N, 48.5 E: --crs EPSG:32639 is the zone of UTM there."),
+    ("EPSG:32639", ""), ("EPSG:32638", ""), ("EPSG:3857", "")])
+def test_a_map_far_outside_its_crs_is_told_the_zone(crs: str, says: str,
+                                                    caplog: pytest.LogCaptureFixture) -> None:
+    module.map_crs(scene("EPSG:4979", 48.5, 34.8), crs)
+    assert says in caplog.text
+    assert ("is for the area" in caplog.text) == bool(says)
+
+
 @pytest.mark.parametrize(("crs", "lon", "lat", "expected"), [
     ("EPSG:4979", 11.0, 47.4, 32632), ("EPSG:4979", -70.0, -33.5, 32719),
     ("EPSG:4326", 179.99, -16.9, 32760), ("EPSG:2263", -74.0, 40.7, 32618)])

@@ -20,6 +20,7 @@ from termsel.data.coordinates.crs import (
     normalise,
     transformation,
 )
+from termsel.data.coordinates.earth import zone_of_utm_instead
 from termsel.data.coordinates.longitudes import continuous
 from termsel.data.coordinates.metres import is_polar, metric_crs, polar_crs
 from termsel.data.features import FloatArray
@@ -100,6 +101,8 @@ def map_crs(result: Result, crs: str | None) -> str:
         raise TermselError(f"a map cannot be in the geocentric CRS {target}, which has no plane",
                            hint="Give --crs with a projected or geographic CRS, such as "
                                 "EPSG:32631.")
+    if crs is not None and (doubt := zone_of_utm_instead(target, result.features)):
+        log.warning("Warning: %s.", doubt)
     return target
 
 

@@ -23,7 +23,7 @@ from termsel.data.coordinates.crs import (
     transformation,
 )
 from termsel.data.coordinates.longitudes import continuous
-from termsel.data.coordinates.metres import in_metres
+from termsel.data.coordinates.metres import in_metres, metric_crs
 from termsel.data.coordinates.places import lattice_of
 from termsel.data.features import FeatureSet, FloatArray
 from termsel.data.record.chances import median
@@ -213,6 +213,22 @@ def _matrix(features: FeatureSet, fewest: int) -> FloatArray | None:
     # The axes of the ellipse that a circle becomes: too flat a one has no sure orientation.
     wide, narrow = np.linalg.svd(turn, compute_uv=False)
     return turn if narrow > _FLAT * wide else None
+
+
+def zone_of_utm_instead(crs: str, features: FeatureSet) -> str:
+    """Return that the middle of features is far outside the area of a CRS of a map; "" if not.
+
+    It names the zone of UTM there, and says nothing where no zone reaches.
+    """
+    area = area_of_use(crs)
+    middle = degrees_of(features.crs, features.ground_vertices())
+    if area is None or middle is None or _is_inside(middle, area, _AREA_MARGIN) \
+            or not -80 <= middle[1] <= 84:
+        return ""
+    west, south, east, north = area
+    return (f"{short(crs)} is for the area from {in_words((west, south))} to "
+            f"{in_words((east, north))}, but the map is at {in_words(middle)}: --crs "
+            f"{metric_crs(features.crs, *middle)} is the zone of UTM there")
 
 
 def _is_misplaced(features: FeatureSet) -> bool:
