@@ -76,6 +76,20 @@ def test_feet_are_told_from_a_geoid(foot: float) -> None:
     assert found.sentence().endswith("feet and metres?")
 
 
+def test_kilometres_are_told_whichever_side_they_are() -> None:
+    control = heights(8)
+    dem = control + RNG.normal(0.0, 1.0, 8)
+    for found in (dem_difference(control / 1000, dem), dem_difference(dem, control / 1000)):
+        assert found is not None
+        assert found.contradicts
+        assert not found.in_feet
+        assert found.sentence().endswith("kilometres and metres?")
+    # Low ground that the DEM knows nothing of is in no unit.
+    other = dem_difference(RNG.uniform(0.0, 4.0, 8), np.full(8, 700.0))
+    assert other is not None
+    assert not other.in_kilometres
+
+
 def test_a_geoid_at_the_sea_is_not_taken_for_feet() -> None:
     control = RNG.uniform(0.0, 4.0, 10)
     for undulation in (-48.6, -30.0, 48.6):

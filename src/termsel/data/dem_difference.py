@@ -43,8 +43,9 @@ _MAX_GEOID_HEIGHT = 150.0
 
 _MAD = 1.4826  # from the median absolute deviation to the standard deviation of normal errors
 _EFFICIENCY = float(np.sqrt(np.pi / 2))  # standard deviation of a median by that of a mean
-_FEET = 1 / 3
-_EXACT = 3.0  # what is left where heights are read as feet: a share, and metres
+_KILOMETRE = 1000.0
+_A_THIRD = 1 / 3
+_EXACT = 3.0  # what is left where heights are read in another unit: a share, and metres
 _VISIBLE = 0.1  # px
 
 
@@ -62,6 +63,8 @@ class DemDifference:
         Heights of control that show it.
     in_feet : bool
         Whether one of both looks as if it were in feet.
+    in_kilometres : bool
+        Whether one of both looks as if it were in kilometres.
     dem : str
         Name of the DEM's file.
     """
@@ -70,6 +73,7 @@ class DemDifference:
     sigma: float
     count: int
     in_feet: bool = False
+    in_kilometres: bool = False
     dem: str = ""
 
     @property
@@ -83,8 +87,12 @@ class DemDifference:
             if pixels >= _VISIBLE else ", of which this model makes no use"
         evidence = (f"median of {counted(self.count, 'height')}, standard deviation "
                     f"{_rounded_in_words(self.sigma)} m")
-        return off_as_a_whole(self.above, "the control", evidence, effect, self.dem,
-                              "feet and metres?" if self.in_feet else "")
+        cause = ""
+        if self.in_feet:
+            cause = "feet and metres?"
+        elif self.in_kilometres:
+            cause = "kilometres and metres?"
+        return off_as_a_whole(self.above, "the control", evidence, effect, self.dem, cause)
 
 
 def off_as_a_whole(above: float, reference: str, evidence: str, effect: str = "", dem: str = "",
@@ -119,16 +127,17 @@ def dem_difference(control: FloatArray, dem: FloatArray, name: str = "") -> DemD
     scatter = _MAD * float(np.median(np.abs(over - median)))
     variance = (n * scatter**2 + AS_MANY * USUAL**2) / (n + AS_MANY)
     sigma = float(np.sqrt(_EFFICIENCY**2 * variance / n + ROUGHLY**2))
-    return DemDifference(median, sigma, n, _is_in_feet(control, dem, scatter), name)
+    in_feet, in_kilometres = (_is_in_unit(unit, control, dem, scatter)
+                              for unit in (UNITS[FOOT], _KILOMETRE))
+    return DemDifference(median, sigma, n, in_feet, in_kilometres, name)
 
 
-def _is_in_feet(control: FloatArray, dem: FloatArray, scatter: float) -> bool:
-    """Return whether heights agree better where one side is in feet than by any shift in metres."""
-    foot = UNITS[FOOT]
-    # What is left in feet must be a third of what is left in metres at most, and within what
+def _is_in_unit(unit: float, control: FloatArray, dem: FloatArray, scatter: float) -> bool:
+    """Return whether heights agree better where one side is in a unit [m] than by any shift."""
+    # What is left in the unit must be a third of what is left in metres at most, and within what
     # shifts leave: two sets of heights that agree by nothing are in no unit.
-    remaining = min(_away(control * foot, dem), _away(control, dem * foot))
-    return remaining < min(_FEET * _away(control, dem), max(scatter, _EXACT))
+    remaining = min(_away(control * unit, dem), _away(control, dem * unit))
+    return remaining < min(_A_THIRD * _away(control, dem), max(scatter, _EXACT))
 
 
 def _away(control: FloatArray, dem: FloatArray) -> float:
