@@ -10,11 +10,11 @@ import pytest
 
 import termsel
 from termsel.core.errors import TermselError
-from termsel.data.features import FeatureSet, Points
+from termsel.data.features import FeatureSet, Lines, Points
 from termsel.data.fingerprints import KEPT, made_by, makers_of
 from termsel.data.roles import Observations
-from termsel.formats.rpc_files import delivered_rpc, read_rpc, rpb_text, rpc_txt_text
-from termsel.runs.exported_rpc import doubt_of_fitted_rpc
+from termsel.formats.rpc_files import delivered_rpc, read_rpc, rpb_text, rpc_txt_text, with_rpc
+from termsel.runs.exported_rpc import _is_taken_away, doubt_of_fitted_rpc, refuse_makers
 from termsel.simulate.example import SENSOR, SIZE, corners, vendor_rpc
 from termsel.toolkit.files import rpc_items
 
@@ -70,13 +70,46 @@ def test_points_measured_anew_or_converted_are_recognised() -> None:
 
 
 def test_of_very_many_points_some_are_recognised() -> None:
-    rng = np.random.default_rng(1)
-    ids = tuple(map(str, range(2000)))
-    many = FeatureSet(Points(ids, rng.uniform(0, 5000, (2000, 2)), rng.uniform(0, 1e6, (2000, 3))),
-                      crs="EPSG:32639")
+    many = scattered(2000)
     rpc = made_by(vendor_rpc(), many)
     assert len(rpc.control_digests) == KEPT
     assert len(makers_of(rpc, many)) > KEPT / 3
+
+
+def test_control_of_a_large_set_is_refused_without_what_is_recognised(
+        caplog: pytest.LogCaptureFixture) -> None:
+    many = scattered(1000)
+    rpc = replace(made_by(vendor_rpc(), many), source="scene.RPB")
+    with pytest.raises(TermselError, match=r"termsel to at least 2\d\d of these") as error:
+        refuse_makers(rpc, all_control(many))
+    assert "role off" not in str(error.value.hint)
+    rest = many.take(~np.isin(many.ids, error.value.ids))
+    assert makers_of(rpc, rest) == []
+    with pytest.raises(TermselError, match="seem to be the rest of them"):
+        refuse_makers(rpc, all_control(rest))
+    refuse_makers(rpc, all_control(scattered(500, 2)))
+    with_rpc(scattered(500, 2), rpc)
+    assert not caplog.messages
+
+
+def test_any_piece_of_a_line_is_recognised() -> None:
+    rng = np.random.default_rng(3)
+    features = points(12)
+    lines = Lines(("L1", "L1", "L1", "L2"), rng.uniform(0, 900, (4, 2, 2)),
+                  rng.uniform(0, 1, (4, 2, 3)))
+    with_lines = features.with_(lines=lines)
+    assert makers_of(fitted_rpc(features), with_lines) == list(features.ids)
+    moved = replace(lines, image=lines.image + 9.0, ground=lines.ground + np.array(
+        [1.0, 1.0, 0.0, 1.0])[:, None, None])
+    rpc = made_by(vendor_rpc(), with_lines)
+    assert makers_of(rpc, features.with_(lines=moved)) == [*features.ids, "L1"]
+
+
+def scattered(count: int, seed: int = 1) -> FeatureSet:
+    rng = np.random.default_rng(seed)
+    ids = tuple(map(str, range(count)))
+    return FeatureSet(Points(ids, rng.uniform(0, 5000, (count, 2)),
+                             rng.uniform(0, 1e6, (count, 3))), crs="EPSG:32639")
 
 
 @pytest.mark.parametrize("ending", [".RPB", "_RPC.TXT"])
@@ -206,9 +239,36 @@ def test_the_rpc_of_a_vendor_is_not_doubted() -> None:
 
 def doubt(features: FeatureSet, rpc: termsel.Rpc) -> str:
     """Return what is said of an RPC, by points that are all control."""
-    features = replace(features, rpc=rpc)
+    return doubt_of_fitted_rpc(all_control(replace(features, rpc=rpc)))
+
+
+def all_control(features: FeatureSet) -> Observations:
     empty = features.points.take(np.zeros(len(features), dtype=bool))
-    return doubt_of_fitted_rpc(Observations(features, features, empty, empty))
+    return Observations(features, features, empty, empty)
+
+
+def test_errors_that_a_correction_takes_away_wholly_are_no_doubt() -> None:
+    shift = np.ones((8, 1))
+    with np.errstate(all="raise"):
+        assert not _is_taken_away(shift, np.full((8, 2), 2.0))
+        assert not _is_taken_away(shift, np.zeros((8, 2)))
+
+
+def test_an_rpc_is_only_said_to_be_used_where_it_is_not_refused(
+        tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    features = points(12)
+    path = tmp_path / "scene.RPB"
+    path.write_text(rpb_text(fitted_rpc(features.take(np.arange(12) < 4))))
+    again = with_rpc(features, path)
+    with pytest.raises(TermselError, match="to 4 of these 12 features"):
+        refuse_makers(again.rpc, all_control(again))
+    assert not caplog.messages
+    rest = again.take(np.arange(12) >= 4)
+    refuse_makers(again.rpc, replace(all_control(rest), features=again))
+    assert "scene.RPB was fitted by termsel to 4 control features, and is used" in caplog.text
+    caplog.clear()
+    with_rpc(rest, path)
+    assert "is used as a vendor's" in caplog.text
 
 
 def test_the_record_of_a_result_is_no_rpc(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import json
 import os
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ import termsel
 from termsel import FeatureSet, FitData, Points, TermselError
 from termsel.testing import checks, invoke
 from termsel_cameras.known.cameras import CAMERAS
-from termsel_cameras.known.interior import interior_of
+from termsel_cameras.known.interior import interior_of, interior_of_file
 from termsel_cameras.known.lens import Lens
 from termsel_cameras.known.method import KNOWN_CAMERA
 
@@ -273,12 +274,37 @@ def test_the_rmse_predicted_of_four_points_is_of_the_size_of_the_true_one() -> N
 
 
 @pytest.mark.parametrize(("stated", "spread"), [
-    ("0.3%", 0.003), ("7px", 0.002), ("0.004", 0.004), ("fixed", 1e-6), ("0", 1e-6)])
+    ("0.3%", 0.003), ("7px", 0.002), ("fixed", 1e-6), ("0", 1e-6), ("0.0", 1e-6), ("0%", 1e-6)])
 def test_how_well_a_focal_length_is_known_can_be_stated(stated: str, spread: float) -> None:
     control, _, _ = photo(8, camera_focal=FOCAL, camera_focal_spread=stated)
     interior = interior_of(control)
     assert interior is not None
     assert interior.focal_spread == pytest.approx(spread)
+
+
+@pytest.mark.parametrize(("focal_spread", "expected"), [(0.3, 0.3), (0.0, 1e-6), ("0.3%", 0.003)])
+def test_the_focal_spread_of_a_camera_file_is_relative(
+        tmp_path: Path, focal_spread: object, expected: float) -> None:
+    camera = tmp_path / "camera.json"
+    camera.write_text(json.dumps({"focal": FOCAL, "focal_spread": focal_spread}))
+    assert interior_of_file(str(camera)).focal_spread == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("stated", [
+    {"camera_focal_spread": "fixed", "camera_pixel": "banana"}, {"camera_height": 1500}])
+def test_options_of_a_camera_without_a_focal_length_are_refused(stated: dict[str, Any]) -> None:
+    table = [{"id": "A", "line": 1.0, "sample": 2.0, "x": 4e5, "y": 5e6, "z": 5.0}]
+    with pytest.raises(TermselError, match="camera whose focal length nothing states") as refused:
+        termsel.read(table, crs=CRS, **stated)
+    assert all(name in refused.value.what for name in stated)
+    assert "camera_focal" in str(refused.value.hint)
+
+
+def test_a_number_without_a_unit_is_no_focal_spread() -> None:
+    control, _, _ = photo(8, camera_focal=FOCAL, camera_focal_spread="0.3")
+    with pytest.raises(TermselError, match=r"camera_focal_spread=0\.3 has no unit") as refused:
+        interior_of(control)
+    assert refused.value.hint == "Write 0.3% or 0.3px, or fixed."
 
 
 @pytest.mark.parametrize("stated", ["3500", "-1%", "much"])

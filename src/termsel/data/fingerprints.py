@@ -11,7 +11,7 @@ from hashlib import blake2b
 
 import numpy as np
 
-from termsel.data.features import FeatureSet, FloatArray
+from termsel.data.features import FeatureSet, FloatArray, select
 from termsel.data.rpc import Rpc
 
 KEPT = 300
@@ -22,6 +22,8 @@ _IMAGE_DECIMALS = 2  # [px]
 _METRE_DECIMALS = 2
 _DEGREE_DECIMALS = 7  # some cm
 _LARGEST_DEGREES = 360.0
+_CHANCE = 1e-6
+"""Share of sets of other features that are taken for the remaining control of an RPC."""
 
 
 def made_by(rpc: Rpc, control: FeatureSet) -> Rpc:
@@ -35,13 +37,34 @@ def makers_of(rpc: Rpc, features: FeatureSet) -> list[str]:
     """Return the ids of features that an RPC was fitted to by its own record; [] without one."""
     if not rpc.control_digests:
         return []
-    known = set(rpc.control_digests)
-    is_maker = [bool(known.intersection(pair)) for pair in _vertex_digests(features)]
-    n_points = len(features.points)
-    # Lines have two vertices each.
-    of_lines = [any(is_maker[first:first + 2]) for first in range(n_points, len(is_maker), 2)]
-    of_features = is_maker[:n_points] + of_lines
-    return [name for name, maker in zip(features.ids, of_features, strict=True) if maker]
+    recorded = set(rpc.control_digests)
+    is_maker = np.zeros(len(features), dtype=bool)
+    # A line of several pieces is one feature.
+    for feature, pair in zip(features.vertex_feature, _vertex_digests(features), strict=True):
+        is_maker[feature] |= not recorded.isdisjoint(pair)
+    return list(select(features.ids, is_maker))
+
+
+def is_cut(rpc: Rpc) -> bool:
+    """Return whether an RPC may have been fitted to more features than its digests cover."""
+    return len(rpc.control_digests) >= KEPT
+
+
+def are_remaining_makers(rpc: Rpc, features: FeatureSet) -> bool:
+    """Return whether features are those an RPC was fitted to without all that it recognises.
+
+    An RPC keeps the smallest digests of its control, so that the rest of its control has none below
+    the largest of them. Digests are uniform: other features have none there with a probability of
+    (1 - share)^digests.
+    """
+    if not is_cut(rpc):
+        return False
+    largest = max(rpc.control_digests)
+    digests = {digest for pair in _vertex_digests(features) for digest in pair}
+    if min(digests, default="") <= largest:
+        return False
+    share = int(largest, 16) / 256.0**_DIGEST_BYTES
+    return bool((1.0 - share)**len(digests) < _CHANCE)
 
 
 def _vertex_digests(features: FeatureSet) -> list[tuple[str, str]]:

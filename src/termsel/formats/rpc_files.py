@@ -15,6 +15,7 @@ from termsel.core.errors import TermselError, counted
 from termsel.core.files.atomic import write_text
 from termsel.core.files.names import is_there
 from termsel.data.features import FeatureSet
+from termsel.data.fingerprints import is_cut, makers_of
 from termsel.data.rasters import open_raster, without_siblings
 from termsel.data.rpc import N_COEFFICIENTS, Rpc
 from termsel.formats.base import is_utf16, located, read_data, read_head, read_text
@@ -183,13 +184,20 @@ def with_rpc(features: FeatureSet, rpc: Rpc | Path | str,
     path, _ = _file_and_name(Path(rpc))
     size = features.image_size
     full_rpc = read_rpc(rpc)
-    if full_rpc.control_count:
-        log.warning("Note: the RPC of %s was fitted by termsel to %s, and is used as a vendor's, "
-                    "as it is named.", path.name,
-                    counted(full_rpc.control_count, "control feature"))
+    # A run refuses features that the RPC was fitted to, or says itself that they are off.
+    if full_rpc.control_count and not makers_of(full_rpc, features):
+        note_use(full_rpc)
     if image_part is not None:
         return replace(features, rpc=image_part.rpc(full_rpc))
     return replace(features, rpc=full_rpc, image_size=size or size_with_rpc(path))
+
+
+def note_use(rpc: Rpc) -> None:
+    """Say that an RPC which termsel fitted is used as a vendor's."""
+    log.warning("Note: the RPC of %s was fitted by termsel to %s, and is used as a vendor's, "
+                "as it is named.%s", rpc.source, counted(rpc.control_count, "control feature"),
+                " Only some of them are recognised: none of them may be given with it."
+                if is_cut(rpc) else "")
 
 
 def _rpc_of_head(path: Path, head: bytes, rpc_name: str) -> Rpc:

@@ -8,20 +8,27 @@ from msgspec import convert, json
 from termsel.core.errors import TermselError
 from termsel.data.coordinates.crs import to_wgs84
 from termsel.data.features import FloatArray
-from termsel.data.fingerprints import makers_of
+from termsel.data.fingerprints import are_remaining_makers, is_cut, makers_of
 from termsel.data.record.record import RpcNumbers
 from termsel.data.roles import Observations
 from termsel.data.rpc import Rpc
+from termsel.formats.rpc_files import note_use
 from termsel.models.base import SensorModel
 
 _FEWEST_TO_DOUBT = 4
 _CHANCE = 5e-4
-"""Share of vendors' RPCs that are doubted by either test although they do not know the points."""
+"""Share of vendors' RPCs that one test doubts although they do not know the points.
+
+There are two tests on each of two sets of points, so that at most four times as many are doubted.
+"""
 _FINEST = 0.01
 """RMSE that no measurements have [px]."""
 _NAMED = 6
 """Ids in a message."""
 _COUNT = "control_count"
+
+RPC_DOUBT = "The RPC fits these points as if it had been fitted to them"
+"""Beginning of the note on an RPC whose accuracy cannot be believed."""
 
 
 def rpc_of_model(model: SensorModel) -> Rpc | None:
@@ -42,15 +49,28 @@ def refuse_makers(rpc: Rpc | None, observations: Observations) -> None:
     features = observations.together
     features = features.with_(points=features.points.join_unchecked(observations.independent))
     makers = makers_of(rpc, features)
+    hint = ("Give the vendor's RPC in its place, or none (without --rpc one that termsel exported "
+            "is not used)")
+    name = rpc.source or "that is given"
+    if are_remaining_makers(rpc, features):
+        raise TermselError(
+            f"the RPC {name} was fitted by termsel to {rpc.control_count} features, and these "
+            f"{len(features)} seem to be the rest of them, without those that are recognised. They "
+            "would seem to confirm it, and all accuracy stated from them would be too good",
+            hint=f"{hint}.")
     if not makers:
+        if makers_of(rpc, observations.features):
+            note_use(rpc)
         return
     named = ", ".join(makers[:_NAMED]) + (", ..." if len(makers) > _NAMED else "")
+    # Those that are not recognised may be makers as well: without the recognised ones the others
+    # would test it.
+    at_least = "at least " if is_cut(rpc) else ""
+    hint += "." if is_cut(rpc) else "; or give other points, and these the role off."
     raise TermselError(
-        f"the RPC {rpc.source or 'that is given'} was fitted by termsel to {len(makers)} of these "
+        f"the RPC {name} was fitted by termsel to {at_least}{len(makers)} of these "
         f"{len(features)} features ({named}). They would seem to confirm it, and all accuracy "
-        "stated from them would be too good",
-        hint="Give the vendor's RPC in its place, or none (without --rpc one that termsel exported "
-             "is not used); or give other points, and these the role off.", ids=makers)
+        "stated from them would be too good", hint=hint, ids=makers)
 
 
 def doubt_of_fitted_rpc(observations: Observations) -> str:
@@ -66,7 +86,7 @@ def doubt_of_fitted_rpc(observations: Observations) -> str:
         affine = np.column_stack([shift, image - image.mean(axis=0)])
         rmse = float(np.sqrt((errors**2).sum(axis=1).mean()))
         if rmse < _FINEST or _is_taken_away(shift, errors) or _is_taken_away(affine, errors):
-            return ("The RPC fits these points as if it had been fitted to them: "
+            return (f"{RPC_DOUBT}: "
                     f"{rmse:.2g} px at {len(errors)} points as delivered, without any shift. If "
                     "so, they cannot test it, and the accuracy stated is too good. Give the RPC "
                     "that the vendor delivered.")
@@ -86,5 +106,7 @@ def _is_taken_away(columns: FloatArray, errors: FloatArray) -> bool:
     remaining = float((corrected**2).sum())
     n_terms = 2 * columns.shape[1]
     freedom = errors.size - n_terms
+    if remaining == 0.0:  # all of the errors is a correction
+        return False
     ratio = (float((errors**2).sum()) - remaining) / n_terms / (remaining / freedom)
     return bool(fdtr(n_terms, freedom, ratio) < _CHANCE)

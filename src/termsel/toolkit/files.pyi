@@ -17,6 +17,7 @@ from termsel.core.files.texts import guarded as guarded
 from termsel.core.files.texts import is_number as is_number
 from termsel.core.files.texts import markdown_text as markdown_text
 from termsel.core.files.texts import xml_attribute as xml_attribute
+from termsel.data.fingerprints import is_cut as is_cut
 from termsel.data.fingerprints import makers_of as makers_of
 from termsel.data.tables.tabular import TextArray as TextArray
 from termsel.data.tables.tabular import distinct as distinct

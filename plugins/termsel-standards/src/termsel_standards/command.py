@@ -17,10 +17,6 @@ _PATH = click.Path(path_type=Path)
 _POSITIVE_METRES = click.FloatRange(0, 1e6, min_open=True)
 
 
-_TOO_GOOD = "The RPC fits these points as if"
-"""Beginning of the note on an RPC that seems to have been fitted to the points of a run."""
-
-
 @click.command("accuracy")
 @click.argument("source", metavar="DIR|TABLE", type=_PATH)
 @click.option("--survey-sigma", metavar="METRES", type=_POSITIVE_METRES,
@@ -107,13 +103,14 @@ def _results_of(folder: Path) -> list[Result]:
     """Return the result of a folder, or those of its folders, as of a block and a batch."""
     from termsel import read_result
     from termsel.toolkit.files import results_within
+    from termsel.toolkit.runs import RPC_DOUBT
 
     inner = [] if (folder / "result.json").exists() else results_within(folder)
     results = [read_result(result) for result in inner] or [read_result(folder)]
     # A statement is signed: what makes its figures too good is said beside it.
     for result in results:
         for note in result.notes:
-            if note.startswith(_TOO_GOOD):
+            if note.startswith(RPC_DOUBT):
                 click.echo(f"Warning: {result.data.source}: {note}", err=True)
     return results
 

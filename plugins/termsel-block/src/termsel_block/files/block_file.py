@@ -22,6 +22,7 @@ from termsel.toolkit.coordinates import LOCAL, normalise
 from termsel.toolkit.files import (
     KINDS_OF_JSON,
     delivered_rpc,
+    is_cut,
     makers_of,
     mismatch_in_words,
     parts_of,
@@ -260,10 +261,15 @@ def _read_image(stated: _Image, folder: Path, crs: str, dem: Path | None, path: 
     if stated.points or stated.lines:
         features = _control_features(stated, folder, crs, dem, path)
         if rpc is not None and (makers := makers_of(rpc, features)):
+            # Not all control of a large set is recognised.
+            at_least = "at least " if is_cut(rpc) else ""
+            other_control = "" if is_cut(rpc) else ", or other control"
             raise TermselError(
-                f"the RPC of image {stated.name!r} was fitted by termsel to {len(makers)} of its "
-                f"{len(features)} control features, which would seem to confirm it", file=rpc_file,
-                hint="Give the RPC that the vendor delivered, or other control.", ids=makers)
+                f"the RPC of image {stated.name!r} was fitted by termsel to "
+                f"{at_least}{len(makers)} of its {len(features)} control features, which would "
+                "seem to confirm it",
+                file=rpc_file, hint=f"Give the RPC that the vendor delivered{other_control}.",
+                ids=makers)
         of_dem = frozenset() if dem is None else _without_height(stated, folder, crs)
     return BlockImage(stated.name, features, rpc, rpc_file, raster, size=size, model=stated.model,
                       of_dem=of_dem, options=options)

@@ -194,7 +194,7 @@ def _camera_of_file(content: Mapping[str, Any], path: str) -> Interior:
     interior = Interior(_positive(focal, f"focal of {path}"), source=f"the camera file {path}")
     if values["focal_spread"]:
         interior = replace(interior, focal_spread=_focal_spread(
-            values["focal_spread"], f"focal_spread of {path}", interior.focal))
+            values["focal_spread"], f"focal_spread of {path}", interior.focal, is_relative=True))
     if values["principal_point"]:
         line, sample = _numbers(values, "principal_point", (2,))
         interior = replace(interior, line=line, sample=sample)
@@ -274,10 +274,13 @@ def _with_spreads(interior: Interior, stated: Mapping[str, str]) -> Interior:
     return interior
 
 
-def _focal_spread(text: str, name: str, focal: float) -> float:
-    """Return the relative standard deviation of a focal length [px] that a text states."""
+def _focal_spread(text: str, name: str, focal: float, *, is_relative: bool = False) -> float:
+    """Return the relative standard deviation of a focal length [px] that a text states.
+
+    A number without a unit is relative in camera files, and else refused, as 0.3 may mean 0.3%.
+    """
     text = text.lower().replace(" ", "")
-    if text in (FIXED, "0"):
+    if text == FIXED:
         return FIXED_SPREAD
     unit = next((unit for unit in ("%", "px") if text.endswith(unit)), "")
     try:
@@ -285,6 +288,11 @@ def _focal_spread(text: str, name: str, focal: float) -> float:
     except TermselError as error:
         error.hint = f"Write 0.3% or 5px, or {FIXED}."
         raise
+    if number == 0.0:
+        return FIXED_SPREAD
+    if not unit and not is_relative:
+        raise TermselError(f"{name}={text} has no unit",
+                           hint=f"Write {text}% or {text}px, or {FIXED}.")
     spread = _positive(number, name) / {"%": 100.0, "px": focal, "": 1.0}[unit]
     if spread >= LARGEST_SPREAD:
         raise TermselError(f"{name}={text} is {spread:.0%} of the focal length",

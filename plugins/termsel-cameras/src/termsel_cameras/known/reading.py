@@ -53,8 +53,13 @@ class CameraOptions:
             features.points, attributes={**attributes, **columns}))
         # What somebody types is refused where it cannot be understood; the choice of a model would
         # only pass over this camera.
-        if any(options_given.get(name) is not None for name in NAMES):
-            interior_of(described)
+        given = [name for name in NAMES if options_given.get(name) is not None]
+        if given and interior_of(described) is None:
+            raise TermselError(
+                f"{', '.join(given)} {'is' if len(given) == 1 else 'are'} of a camera whose focal "
+                "length nothing states",
+                hint="Add camera_focal, or camera with its name or file; or leave "
+                     f"{'it' if len(given) == 1 else 'them'} out.", name=given[0])
         return described
 
 
