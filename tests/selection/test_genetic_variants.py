@@ -256,7 +256,7 @@ def test_half_of_the_bits_are_on_at_first_if_asked() -> None:
     assert not genes[:, 1].any()
 
 
-@pytest.mark.parametrize(("budget", "all_near_half"), [(100, False), (500, True)])
+@pytest.mark.parametrize(("budget", "all_near_half"), [(100, False), (200, False), (500, True)])
 def test_a_short_search_begins_with_selections_of_all_sizes(budget: int,
                                                             all_near_half: bool) -> None:
     problem = problems.trap(78)
@@ -270,6 +270,14 @@ def test_a_hundred_evaluations_find_a_selection_that_meets_the_conditions(seed: 
     problem = termsel.prepare("rfm-terms").problem
     found = search(problem, GeneticAlgorithm(), seed=seed, evaluations=100)
     assert found.violation == 0
+
+
+def test_ga_beats_random_selections_within_two_hundred_evaluations() -> None:
+    problem = termsel.prepare("poly-terms").problem
+    by_ga, at_random = (
+        [search(problem, solver, seed=seed, evaluations=200).objectives[0] for seed in (1, 2, 3)]
+        for solver in (GeneticAlgorithm(), RandomSearch()))
+    assert max(by_ga) < min(at_random)
 
 
 def test_genes_that_are_no_bits_begin_as_ever() -> None:

@@ -21,7 +21,7 @@ SMALLEST_POPULATION, LARGEST_POPULATION = 20, 200
 """Fewest and most chromosomes that a budget of evaluations leads to."""
 
 SHORT_SEARCH = 10 * SMALLEST_POPULATION
-"""Evaluations below which a search has no time to leave conditions that half of the genes break:
+"""Evaluations up to which a search has no time to leave conditions that half of the genes break:
 of 78 terms and 24 points no selection of half of the terms is determined."""
 
 MUTATIONS_OF_COPIES = 5
@@ -92,7 +92,7 @@ class GeneticAlgorithm(Solver):
         "It ends with its budget; the papers count generations until convergence (--patience).",
         "A gene changes with a chance of 1 over the number of genes; the paper has 0.001 "
         "(--set mutation=0.001).",
-        "The first chromosomes of a large population, and of a search of fewer than 200 "
+        "The first chromosomes of a large population, and of a search of at most 200 "
         "evaluations, have random shares of genes on, not half "
         "(--set first=half).")
     segments: ClassVar[tuple[type[AnySegment], ...]] = SEGMENTS
@@ -101,7 +101,7 @@ class GeneticAlgorithm(Solver):
                "evaluations, 20 at least and 200 at most.", int, 2, 100_000),
         Option("first", None, "First chromosomes: bits on with a chance drawn for each "
                "chromosome, or with 1/2 for all, as in the standard GA of Akhoundi Khezrabad et "
-               "al. 2020. By default shares with 200 chromosomes and more or fewer than 200 "
+               "al. 2020. By default shares with 200 chromosomes and more or at most 200 "
                "evaluations, else half.",
                choices=("shares", "half")),
         Option("parents", "tournament", "Who are crossed: winners of tournaments, or always the "
@@ -140,7 +140,7 @@ class GeneticAlgorithm(Solver):
         # DEAP's toolbox is a register of functions with their arguments, any of which may be
         # replaced. A GA with a first population of its own has no such option.
         size = self.population_size(problem)
-        is_short = problem.budget is not None and problem.budget < SHORT_SEARCH
+        is_short = problem.budget is not None and problem.budget <= SHORT_SEARCH
         first = o.get("first") or ("shares" if size >= LARGEST_POPULATION or is_short else "half")
         draw = evenly if first == "half" else Genome.random
         box.register("population", draw, problem.genome, rng, size)
