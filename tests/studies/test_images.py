@@ -14,6 +14,7 @@ import pytest
 import termsel
 from termsel import TermselError
 from termsel.formats.readers.csv_tables import write_lines_csv, write_points_csv
+from termsel.studies import compare
 from termsel.studies.cells.images import IMAGES, folders_of
 from termsel.studies.cells.table import TIMES
 
@@ -83,6 +84,20 @@ def test_a_file_that_cannot_be_read_is_a_row_and_one_named_twice_is_read_once(
                                                               str(tmp_path / "image0.csv")]}])
     assert [row["state"] for row in study.rows] == ["done", "failed"]
     assert "abc" in study.rows[1]["reason"]
+
+
+def test_the_table_of_an_earlier_study_is_no_image(tmp_path: Path,
+                                                   caplog: pytest.LogCaptureFixture) -> None:
+    _images(tmp_path, 1)
+    (tmp_path / "image9.csv").unlink()
+    (tmp_path / "study.csv").write_text("data,state\nimage0.csv,done\n")
+    caplog.set_level("INFO", "termsel")
+    spec, folder = compare.asked(None, {
+        "problems": ["poly-terms"], "solvers": ["random"],
+        "data": [{"crs": "local", "points": [str(tmp_path / "*.csv")]}]})
+    cells = compare.plan_cells(spec, folder, frozenset([(tmp_path / "study.csv").resolve()]))
+    assert [Path(cell.labels["data"]).name for cell in cells] == ["image0.csv"]
+    assert "study.csv in the folder of --out" in caplog.text
 
 
 def test_no_two_images_share_a_folder() -> None:

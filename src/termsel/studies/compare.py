@@ -97,7 +97,8 @@ def compare(
     if workers < 1:
         raise TermselError(f"{workers} workers cannot run anything", hint="Give 1 or more.")
     spec, folder = asked(study, keys)
-    cells = plan_cells(spec, folder)
+    tables = () if out is None else [(Path(out) / name).resolve() for name in names()]
+    cells = plan_cells(spec, folder, frozenset(tables))
     labels = {cell.key: cell.labels for cell in cells}
     folders = folders_of(labels)
     with ExitStack() as stack:
@@ -165,8 +166,11 @@ def asked(study: Path | str | Mapping[str, Any] | None, keys: Mapping[str, Any]
     return spec_of({**(study or {}), **keys}), Path()
 
 
-def plan_cells(spec: Spec, folder: Path) -> list[Cell]:
-    """Return the cells of a study, all checked; file names are relative to `folder`."""
+def plan_cells(spec: Spec, folder: Path, tables: frozenset[Path] = frozenset()) -> list[Cell]:
+    """Return the cells of a study, all checked; file names are relative to `folder`.
+
+    Files among `tables`, the resolved paths of what the study itself writes, are skipped.
+    """
     for i, name in enumerate(spec.exports):
         try:
             # Unknown formats are refused before the first cell, not after hours.
@@ -174,7 +178,7 @@ def plan_cells(spec: Spec, folder: Path) -> list[Cell]:
         except TermselError as error:
             raise spec.places.error(("exports", i), error.what, error.hint) from error
     with options_of_file(spec.places.file):
-        return cells_of(spec, data_of(spec, folder))
+        return cells_of(spec, data_of(spec, folder, tables))
 
 
 def works_of(cells: list[Cell]) -> tuple[list[Cell], dict[str, FeatureSet]]:

@@ -45,13 +45,16 @@ class Data:
     warnings: tuple[str, ...] = ()  # on them as they were read
 
 
-def data_of(spec: Spec, folder: Path) -> list[Data]:
-    """Return all data that a study names, each once; file names are relative to `folder`."""
+def data_of(spec: Spec, folder: Path, tables: frozenset[Path] = frozenset()) -> list[Data]:
+    """Return all data that a study names, each once; file names are relative to `folder`.
+
+    Files among `tables`, the resolved paths of what the study itself writes, are skipped.
+    """
     data_sets: list[Data] = []
     # What is said of the heights of one file would stand there for each of hundreds.
     with quieted("termsel.formats.heights", logging.WARNING):
         for source in spec.data:
-            data_sets += _data_of_source(spec, source, folder)
+            data_sets += _data_of_source(spec, source, folder, tables)
     _say_heights(data_sets)
     labels: set[str] = set()
     for data in data_sets:
@@ -122,7 +125,8 @@ def of_dataset(name: str, path: Keys = ()) -> Data:
     return Data(name, _key(features), source, features, path=path)
 
 
-def _data_of_source(spec: Spec, source: Source, folder: Path) -> Iterator[Data]:
+def _data_of_source(spec: Spec, source: Source, folder: Path,
+                    tables: frozenset[Path]) -> Iterator[Data]:
     """Yield the data of one source: feature sets, a data set, or files by pattern."""
     for label, features in source.features.items():
         yield Data(label, _key(features), label, features, path=source.path)
@@ -133,7 +137,8 @@ def _data_of_source(spec: Spec, source: Source, folder: Path) -> Iterator[Data]:
             raise spec.places.error((*source.path, "dataset"), error.what, error.hint) from error
     if source.files:
         # Files by kind, then paired to images, then divided into parts.
-        matched = {kind: _matching_files(spec, source, kind, patterns, folder)
+        matched = {kind: _without_tables(_matching_files(spec, source, kind, patterns, folder),
+                                         folder, tables)
                    for kind, patterns in source.files.items()}
         for files in _together(spec, source, matched):
             for part_name, options in _options_by_part(source, files, folder).items():
@@ -154,6 +159,17 @@ def _matching_files(spec: Spec, source: Source, kind: str, patterns: tuple[str, 
                                     f"{folder.resolve()}", _how_to_name(pattern, kind, folder))
         files += [Path(name).as_posix() for name in names]
     return list(dict.fromkeys(files))
+
+
+def _without_tables(files: list[str], folder: Path, tables: frozenset[Path]) -> list[str]:
+    """Return files without those that the study itself writes, and say which these are."""
+    measured = [name for name in files if (folder / name).resolve() not in tables]
+    # Where nothing else is left, the reader says what such a file lacks.
+    if not measured or len(measured) == len(files):
+        return files
+    log.info("Note: %s in the folder of --out: a table that termsel wrote there is no file of "
+             "points, and is skipped.", ", ".join(name for name in files if name not in measured))
+    return measured
 
 
 def _how_to_name(pattern: str, kind: str, folder: Path) -> str:
