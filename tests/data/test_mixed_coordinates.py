@@ -43,6 +43,18 @@ def in_zones(lon: np.ndarray, lat: np.ndarray, zones: list[int], base: int = 326
     return x, y
 
 
+def test_places_on_a_map_are_told_from_pixels() -> None:
+    x, y = places(268_500.0, 4_488_300.0, 900.0, 700.0)
+    on_map = np.column_stack([y - 0.4, x + 0.3])
+    for crs in ("local", "EPSG:2100"):
+        assert "map coordinates of a georeferenced image" in note_on_mixed(
+            features(on_map, x, y, crs))
+    pixels = on_map - on_map.min(axis=0)
+    assert note_on_mixed(features(pixels, x, y, "local")) == ""
+    # Two images of one size: both are pixels.
+    assert note_on_mixed(features(pixels, pixels[:, 1], pixels[:, 0], "local")) == ""
+
+
 @pytest.mark.parametrize("stated", [32, 33])
 def test_points_of_the_next_zone_of_utm_are_named(stated: int) -> None:
     lon, lat = places(11.6, 47.0, 0.8, 0.5)

@@ -177,12 +177,34 @@ MAX_POINTS_NAMED = 5
 """Points that a note names."""
 
 
+SAME = 10.0
+"""Median distance of line from y and of sample from x, below which both are places on a map."""
+
+NO_PIXEL = 100_000.0
+"""Line or sample beyond which next to no image has pixels."""
+
+
 def note_on_mixed(features: FeatureSet) -> str:
-    """Return which coordinates look as if they were of another kind than the others; or ""."""
+    """Return which coordinates look as if they were of another kind than they should be; or ""."""
     points = features.points
+    if note := _note_on_map_coordinates(features):
+        return note
     if len(points) < MIN_AFFINE_POINTS or not features.crs:
         return ""
     return _two_zones(features) or _note_on_minutes(features)
+
+
+def _note_on_map_coordinates(features: FeatureSet) -> str:
+    """Return a note that line and sample are northings and eastings, not pixels; or ""."""
+    image = features.points.image
+    if not len(image) or np.median(np.abs(image).max(axis=1)) < NO_PIXEL:
+        return ""
+    distance = float(np.median(np.abs(image - features.points.ground[:, [1, 0]]).max(axis=1)))
+    if distance > SAME:
+        return ""
+    return (f"Line and sample are y and x themselves, to {distance:.2g}: they look like map "
+            "coordinates of a georeferenced image, not pixels. What is stated in px is in units of "
+            "the map then; for pixels, measure in the image without its georeferencing.")
 
 
 def _two_zones(features: FeatureSet) -> str:
