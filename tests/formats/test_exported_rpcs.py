@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -223,7 +224,7 @@ def test_a_result_keeps_what_its_rpc_was_fitted_to() -> None:
 @pytest.mark.parametrize(("model", "options"), [("affine", {}), ("poly3d", {"degree": 2}),
                                                 ("rfm", {"order": 1})])
 def test_an_rpc_of_another_program_is_doubted_by_its_errors(
-        model: str, options: dict[str, int]) -> None:
+        model: str, options: dict[str, Any]) -> None:
     features = points(24)
     rpc = termsel.rpc_of(termsel.fit(features, model, **options)).rpc.as_delivered()
     assert "as if it had been fitted to them" in doubt(features, rpc)

@@ -145,7 +145,7 @@ def test_local_errors_of_an_rpc_call_for_a_random_field(tmp_path: Path) -> None:
     result = termsel.run(features=features, out=tmp_path / "r")
     assert result.strategy is not None
     assert result.strategy.chosen == "rpc-with-field"
-    assert "The points support local corrections" in result.summary()
+    assert "The points show local deformation" in result.summary()
     again = termsel.read_result(tmp_path / "r").fit.project(others.points.ground)
     np.testing.assert_allclose(again, result.fit.project(others.points.ground), atol=1e-6)
 
