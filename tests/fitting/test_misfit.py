@@ -10,7 +10,7 @@ import pytest
 
 import termsel
 from termsel.data.features import FeatureSet, FloatArray, Points
-from termsel.fitting.local_courses import local_courses
+from termsel.fitting.local_courses import MAX_CELLS, TREND_COLUMNS, local_courses
 from termsel.fitting.misfit import NoisePrior, matern, misfit_of, mixed_misfit, trend_of
 from termsel.fitting.scene import scene_grid
 from termsel.io.plan import plan
@@ -199,6 +199,55 @@ def test_more_points_than_the_field_is_found_by_do_not_change_the_uncertainty_at
         assert courses is not None
         squares.append(courses.squares(places, places[:, :2]))
     np.testing.assert_allclose(squares[0].mean(), squares[1].mean(), rtol=0.1)
+
+
+def road_and_sheet() -> Points:
+    """Return 400 points of a straight road, and 100 all over a sheet that bends."""
+    rng = np.random.default_rng(12)
+    road = np.column_stack([np.linspace(-0.8, -0.4, 400), np.full(400, -0.8)])
+    places = np.concatenate([road, rng.uniform(-1.0, 1.0, (100, 2))])
+    image = places + 0.02 * np.sin(4.0 * places) + rng.normal(0.0, 1e-3, places.shape)
+    return Points(tuple(map(str, range(500))), image, np.column_stack([places, np.zeros(500)]))
+
+
+def test_points_in_a_row_do_not_alone_say_what_is_uncertain_near_them() -> None:
+    courses = local_courses(road_and_sheet(), 1e-3)
+    assert courses is not None
+    beside_road = np.array([[-0.6, -0.75, 0.0], [-0.6, -0.6, 0.0], [-0.8, -0.6, 0.0]])
+    truth = beside_road[:, :2] + 0.02 * np.sin(4.0 * beside_road[:, :2])
+    sigma = np.sqrt(courses.squares(beside_road, truth))
+    assert (sigma < 0.02).all()
+
+
+def test_cells_of_many_points_are_few_and_are_not_kept() -> None:
+    rng = np.random.default_rng(13)
+    image = rng.uniform(-1.0, 1.0, (6000, 2))
+    rough = image + 0.01 * np.floor(3.0 * image[:, ::-1]) + rng.normal(0.0, 1e-3, (6000, 2))
+    ground = np.column_stack([image, np.zeros(6000)])
+    courses = local_courses(Points(tuple(map(str, range(6000))), rough, ground), 1e-3)
+    assert courses is not None
+    assert len(courses._centres) == MAX_CELLS
+    before = set(vars(courses))
+    assert np.isfinite(courses.squares(ground[:2], image[:2])).all()
+    assert set(vars(courses)) - before <= {"_apart"}
+
+
+def test_a_course_of_two_trends_is_the_sum_of_theirs() -> None:
+    courses = local_courses(road_and_sheet().take(np.arange(380, 500)), 1e-3)
+    assert courses is not None
+    system = courses.control
+    places = np.array([[0.2, 0.3], [-0.7, 0.9]])
+    for solutions in courses.solutions[:3]:
+        expected = np.zeros((2, 2))
+        for columns, shares in zip(TREND_COLUMNS, solutions.shares, strict=True):
+            course = replace(system, trend=system.trend[:, :columns]).course(
+                solutions.lengths, solutions.smoothness, solutions.ratios, shares)
+            expected += course.squares(course.columns(
+                places, system.positions, trend_of(places, 120)[:, :columns]), 0.01)
+        course = solutions.course(system)
+        found = course.squares(course.columns(places, system.positions, trend_of(places, 120)),
+                               0.01)
+        np.testing.assert_allclose(found, expected, rtol=0.01, atol=1e-9)
 
 
 def test_few_points_of_unknown_noise_say_that_they_do_not_tell_it_from_deformation() -> None:

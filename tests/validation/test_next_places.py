@@ -111,6 +111,19 @@ def test_a_local_model_is_planned_by_its_own_sigma(model: str, count: int) -> No
     assert (np.diff([found.sigma_before, *found.sigma]) < 0).all()
 
 
+def test_a_plan_of_many_points_in_a_plane_starts_from_sigma() -> None:
+    rng = np.random.default_rng(5)
+    places = rng.uniform(0.0, 2000.0, (400, 2))
+    image = places[:, ::-1] / 2 + 20.0 * np.sin(places / 300.0) + rng.normal(0.0, 0.3, (400, 2))
+    ground = np.column_stack([places, np.full(400, np.nan)])
+    fitted = termsel.fit(FeatureSet(Points(tuple(map(str, range(400))), image, ground)), "poly2d")
+    scene = ground[:60]
+    found = rank_places(fitted, scene, scene, 2)
+    assert found.sigma_before == pytest.approx(
+        np.sqrt((fitted.sigma(scene)**2).sum(axis=1).mean()), rel=1e-6)
+    assert (np.diff([found.sigma_before, *found.sigma]) < 0).all()
+
+
 def test_without_redundancy_nothing_can_be_planned() -> None:
     points = simulate_scene("ikonos-hamedan", n_points=20).points
     fitted = termsel.fit(FeatureSet(replace(points.take(np.arange(4)), roles=())), "affine")

@@ -25,7 +25,7 @@ from termsel.data.scaling import Scaling, scaling_of
 from termsel.data.view import CentralView, view_of
 from termsel.fitting.extrapolation import by_heights
 from termsel.fitting.local_courses import LocalCourses, local_courses
-from termsel.fitting.misfit import Misfit, NoisePrior, misfit_of, mixed_misfit
+from termsel.fitting.misfit import MISFIT_BATCH, Misfit, NoisePrior, misfit_of, mixed_misfit
 from termsel.fitting.residuals import Residuals, control_residuals, rmse_of
 from termsel.fitting.uncertainty import (
     Experience,
@@ -35,9 +35,6 @@ from termsel.fitting.uncertainty import (
     unexplained_by,
 )
 from termsel.models.base import SensorModel
-
-MISFIT_BATCH = 2000
-"""Places whose covariances are held in memory."""
 
 UNDECIDED_POINTS, UNDECIDED = 20, 0.1
 """Below so many points, a probability of local deformation between this and one less this is said
@@ -494,10 +491,7 @@ class Fit(Glance):
             # Variances add: of the coefficients, and of what the model does not fit.
             return spread.variance + self.missed_at(ground), spread.noise
         image = self.scaling.image(self._compute_positions(ground))
-        squares = np.empty(image.shape)
-        for batch in np.array_split(np.arange(len(ground)), len(ground) // MISFIT_BATCH + 1):
-            squares[batch] = courses.squares(scaled_ground[batch], image[batch])
-        return squares, np.full(2, courses.noise)
+        return courses.squares(scaled_ground, image), np.full(2, courses.noise)
 
     @cached_property
     def local_courses(self) -> LocalCourses | None:

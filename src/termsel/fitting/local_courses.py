@@ -19,7 +19,11 @@ The mean square error of any model at the place is this variance and the square 
 the model from the mean, averaged over all courses.
 
 Of more than 200 points, 200 that are spread over them show how likely each course is. The mean and
-the variance at a place are then by the 200 that are nearest to its cell, of some 100 points.
+the variance at a place are then by 60 that are far apart, which hold the trend even where those
+near by lie in a row, and by the 140 others that are nearest to its cell, of some 100 points. There
+are at most 16 cells: of more than 1600 points they are larger, and only some of the points around
+them are taken. The errors that are stated are then those of a model that had no more points, too
+large rather than too small.
 
 References
 ----------
@@ -30,13 +34,15 @@ Zellner 1986 for the prior of a trend.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
+from termsel.core.threads import one_blas_thread
 from termsel.data.features import FloatArray, IntArray, Points
 from termsel.fitting.misfit import (
+    MISFIT_BATCH,
     MISFIT_MAX_POINTS,
     NEGLIGIBLE_SHARE,
     Course,
@@ -72,7 +78,16 @@ TREND_COLUMNS = 3, 6
 """Of an affine and of a quadratic trend, both as likely beforehand."""
 
 CELL_POINTS = 100
-"""Most points of a cell."""
+"""Most points of a cell, where that does not make more than MAX_CELLS."""
+
+MAX_CELLS = 16
+"""A power of two. Each takes 0.05 to 0.1 s."""
+
+APART_POINTS = 60
+"""Points of each cell's courses that lie far apart over all control."""
+
+REACH = 1.4
+"""Points from which those near a cell are taken, by the points of the cell."""
 
 NOISE_BY_TREND = np.geomspace(0.01, 2.0, 26)
 """Noises that are tried, by the scatter about the trend."""
@@ -80,23 +95,49 @@ NOISE_BY_TREND = np.geomspace(0.01, 2.0, 26)
 
 @dataclass(frozen=True, eq=False)
 class Solutions:
-    """How likely ratios and noises are under one covariance, `shares` (2, r, s) of all courses.
+    """How likely trends, ratios and noises are under one covariance.
 
-    Its trend has the first of all columns.
+    `shares` (t, 2, r, s) are those of all courses.
     """
 
-    trend_columns: int
     lengths: tuple[float, float]
     smoothness: float
     ratios: tuple[float, ...]
     shares: FloatArray
 
     def course(self, system: System) -> Course:
-        """Return the course of some control."""
-        likely = self.shares.sum(axis=2).max(axis=0) > NEGLIGIBLE_SHARE
-        ratios = tuple(np.array(self.ratios)[likely].tolist())
-        system = replace(system, trend=system.trend[:, :self.trend_columns])
-        return system.course(self.lengths, self.smoothness, ratios, self.shares[:, likely])
+        """Return the course of some control: all ratios with an affine and a quadratic trend."""
+        likely = self.shares.sum(axis=3).max(axis=1) > NEGLIGIBLE_SHARE                # (t, r)
+        shares = self.shares * likely[:, None, :, None]
+        noise = shares @ system.noises**2                                              # (t, 2, r)
+        correlation = matern(system.positions, system.positions, self.lengths, self.smoothness)
+        variances = np.diag(system.relative_variances)
+        n, f = system.trend.shape
+        explained = np.zeros((2, n + f, n + f))
+        means = np.zeros((*likely.shape, n + f, 2))
+        for i in np.flatnonzero(likely.any(axis=0)):
+            squared_ratio = self.ratios[i]**2
+            inverse = np.asarray(np.linalg.inv(variances + squared_ratio * correlation))
+            for j in np.flatnonzero(likely[:, i]):
+                columns = TREND_COLUMNS[j]
+                scale = np.concatenate([np.full(n, squared_ratio), np.ones(columns)])
+                scaled = scale[:, None] * _with_trend(inverse, system.trend[:, :columns])
+                means[j, i, :n + columns] = scaled[:, :n] @ system.residuals
+                scaled *= scale
+                for axis in (0, 1):
+                    explained[axis, :n + columns, :n + columns] += noise[j, axis, i] * scaled
+        weights = np.moveaxis(shares.sum(axis=3), 1, 0)                                # (2, t, r)
+        return Course(float(shares[:, 0].sum()), self.lengths, self.smoothness,
+                      noise.sum(axis=0) @ np.square(self.ratios), explained,
+                      weights[:, likely], means[likely], f)
+
+
+def _with_trend(inverse: FloatArray, trend: FloatArray) -> FloatArray:
+    """Return [[S, T], [T', 0]]^-1, (n + f, n + f), from S^-1 and the trend T (n, f)."""
+    toward = inverse @ trend
+    of_trend = np.linalg.inv(trend.T @ toward)
+    gain = toward @ of_trend
+    return np.block([[inverse - gain @ toward.T, gain], [gain.T, -of_trend]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,8 +156,8 @@ class Cell:
 
     def columns(self, course: Course, positions: FloatArray) -> FloatArray:
         """Return the columns at positions (m, 2) from which a course has its mean and variance."""
-        trend = trend_of(positions, len(self.positions))[:, :course.trend_columns]
-        return course.columns(positions, self.positions, trend)
+        return course.columns(positions, self.positions,
+                              trend_of(positions, len(self.positions)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,34 +178,46 @@ class LocalCourses:
     def _centres(self) -> FloatArray:
         """The middles of all cells, (c, 2)."""
         positions = self.control.positions
-        if len(positions) <= MISFIT_MAX_POINTS:
+        n = len(positions)
+        if n <= MISFIT_MAX_POINTS:
             return np.asarray(positions.mean(axis=0, keepdims=True))
+        most = max(CELL_POINTS, -(-n // MAX_CELLS))
         return np.array([positions[rows].mean(axis=0)
-                         for rows in _halve_rows(positions, np.arange(len(positions)))])
+                         for rows in _halve_rows(positions, np.arange(n), most)])
 
     @cached_property
-    def _cells(self) -> dict[int, Cell]:
-        """The cells that were asked for, by number."""
-        return {}
+    def _apart(self) -> IntArray:
+        """Rows of control that is far apart."""
+        return _rows_far_apart(self.control.positions, APART_POINTS)
 
     def _cell_of(self, number: int) -> Cell:
-        """Return the cell of a number, found from the points next to its centre; kept once found.
-        """
+        """Return the cell of a number, by the points next to its centre and those far apart."""
         if len(self._centres) == 1:
             return self._spread_cell
-        if number not in self._cells:
-            squares = ((self.control.positions - self._centres[number])**2).sum(axis=1)
-            nearest = np.argpartition(squares, MISFIT_MAX_POINTS)[:MISFIT_MAX_POINTS]
-            self._cells[number] = self._cell(nearest)
-        return self._cells[number]
+        positions = self.control.positions
+        squares = ((positions - self._centres[number])**2).sum(axis=1)
+        squares[self._apart] = np.inf
+        count = MISFIT_MAX_POINTS - len(self._apart)
+        reach = max(count, int(REACH * len(positions) / len(self._centres)))
+        near = np.argsort(squares)[np.linspace(0, reach - 1, count).round().astype(np.intp)]
+        rows = np.concatenate([self._apart, near])
+        trend = self.control.trend[rows]
+        if np.linalg.matrix_rank(trend) < trend.shape[1]:
+            return self._spread_cell
+        return self._cell(rows)
 
     def _cell(self, rows: IntArray) -> Cell:
         system = self.control.take(rows)
         return Cell(system.positions,
                     tuple(solutions.course(system) for solutions in self.solutions))
 
+    @one_blas_thread
     def squares(self, ground: FloatArray, image: FloatArray) -> FloatArray:
-        """Return the mean square errors, (m, 2), of a model that sees places in the image."""
+        """Return the mean square errors, (m, 2), of a model that sees places in the image.
+
+        Of many points each call finds the cells of its places anew, as they would fill the memory:
+        all places should be in one call.
+        """
         positions = _affine(ground) @ self.to_image
         from scipy.spatial import cKDTree  # only now, as it takes long to import
 
@@ -173,9 +226,11 @@ class LocalCourses:
         number_of_cell = np.full(len(ground), -1)
         number_of_cell[finite] = cKDTree(self._centres).query(positions[finite])[1]
         for number in np.unique(number_of_cell[finite]):
-            inside = number_of_cell == number
-            total[inside] = self._cell_of(int(number)).squares(
-                positions[inside], (image - positions)[inside])
+            inside = np.flatnonzero(number_of_cell == number)
+            cell = self._cell_of(int(number))
+            # In batches, as covariances between all places would fill the memory.
+            for batch in np.array_split(inside, len(inside) // MISFIT_BATCH + 1):
+                total[batch] = cell.squares(positions[batch], image[batch] - positions[batch])
         return total
 
     def covariance(self, ground: FloatArray, image: FloatArray, axis: int) -> FloatArray:
@@ -218,20 +273,18 @@ def local_courses(points: Points, pixel: float) -> LocalCourses | None:
     logs = []
     grids = []
     for probability, lengths, smoothness, ratios in _priors():
-        by_trend = _log_likelihoods(system, lengths, smoothness, ratios)             # (t, 2, r, s)
-        for trend_columns, by_ratio in zip(TREND_COLUMNS, by_trend, strict=True):
-            by_noise = np.logaddexp.reduce(by_ratio, axis=1)
-            logs.append(np.log(probability / len(TREND_COLUMNS)) + log_prior
-                        + by_noise.sum(axis=0))
-            grids.append((trend_columns, lengths, smoothness, ratios,
-                          np.exp(by_ratio - by_noise[:, None])))
-    shares = np.exp(np.array(logs) - np.logaddexp.reduce(logs, axis=None))           # (c, s)
+        by_ratio = _log_likelihoods(system, lengths, smoothness, ratios)             # (t, 2, r, s)
+        by_noise = np.logaddexp.reduce(by_ratio, axis=2)                               # (t, 2, s)
+        logs.append(np.log(probability / len(TREND_COLUMNS)) + log_prior + by_noise.sum(axis=1))
+        grids.append((lengths, smoothness, ratios, np.exp(by_ratio - by_noise[:, :, None])))
+    shares = np.exp(np.array(logs) - np.logaddexp.reduce(logs, axis=None))           # (c, t, s)
     if not np.isfinite(shares).all():
         return None
-    solutions = tuple(Solutions(*grid[:-1], share * grid[-1])
+    solutions = tuple(Solutions(*grid[:-1], share[:, None, None] * grid[-1])
                       for share, grid in zip(shares, grids, strict=True)
                       if share.sum() > NEGLIGIBLE_SHARE)
-    return LocalCourses(to_image, control, solutions, float(shares.sum(axis=0) @ noises**2))
+    return LocalCourses(to_image, control, solutions,
+                        float(shares.sum(axis=(0, 1)) @ noises**2))
 
 
 def _log_likelihoods(system: System, lengths: tuple[float, float], smoothness: float,
@@ -264,15 +317,27 @@ def _log_likelihoods(system: System, lengths: tuple[float, float], smoothness: f
     return np.asarray(logs - np.log(len(ratios)))
 
 
-def _halve_rows(positions: FloatArray, rows: IntArray) -> list[IntArray]:
-    """Return rows cut in halves, across their longer side, until each part has at most CELL_POINTS.
-    """
-    if len(rows) <= CELL_POINTS:
+def _halve_rows(positions: FloatArray, rows: IntArray, most: int) -> list[IntArray]:
+    """Return rows cut in halves, across their longer side, until each part has at most `most`."""
+    if len(rows) <= most:
         return [rows]
     axis = int(np.argmax(np.ptp(positions[rows], axis=0)))
     order = rows[np.argsort(positions[rows, axis], kind="stable")]
     middle = len(order) // 2
-    return _halve_rows(positions, order[:middle]) + _halve_rows(positions, order[middle:])
+    return _halve_rows(positions, order[:middle], most) \
+        + _halve_rows(positions, order[middle:], most)
+
+
+def _rows_far_apart(positions: FloatArray, count: int) -> IntArray:
+    """Return rows, each the farthest from those before it, the first from the middle, (count,)."""
+    squares = ((positions - positions.mean(axis=0))**2).sum(axis=1)
+    rows = [int(np.argmax(squares))]
+    squares[:] = np.inf
+    while len(rows) < count:
+        squares = np.minimum(squares, ((positions - positions[rows[-1]])**2).sum(axis=1))
+        squares[rows] = -1.0  # so that none comes twice, even of equal positions
+        rows.append(int(np.argmax(squares)))
+    return np.array(rows, dtype=np.intp)
 
 
 def _priors() -> Iterator[tuple[float, tuple[float, float], float, tuple[float, ...]]]:

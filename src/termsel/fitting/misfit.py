@@ -82,6 +82,9 @@ NOISE_BY_RESIDUALS = np.geomspace(0.03, 3.0, 24)
 MISFIT_MAX_POINTS = 200
 """Points by which the field is found; of more, such as are spread over the image."""
 
+MISFIT_BATCH = 2000
+"""Places whose covariances to the points are held in memory."""
+
 MISFIT_MIN_POINTS = 6
 """Points below which nothing shows a field."""
 
@@ -365,8 +368,9 @@ def matern(a: FloatArray, b: FloatArray, lengths: tuple[float, float],
 
     The smoothness is 1/2, 3/2 or infinite.
     """
-    differences = (a / np.array(lengths))[:, None] - (b / np.array(lengths))[None]
-    squares = (differences**2).sum(axis=2)
+    line, sample = (np.subtract.outer(a[:, axis] / length, b[:, axis] / length)
+                    for axis, length in enumerate(lengths))
+    squares = line * line + sample * sample
     if smoothness == np.inf:
         return np.asarray(np.exp(-0.5 * squares))
     if smoothness == 0.5:

@@ -15,7 +15,7 @@ themselves are not known before, so that what they will say of the model's form 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -103,7 +103,9 @@ def rank_places(fitted: Fit, candidates: FloatArray, scene: FloatArray, count: i
 def covariances(original: Fit, ground: FloatArray) -> Spread | None:
     """Return the mean square errors of a fit at places (m, 3), with factors; None if not known.
 
-    They are those of `Fit.sigma`, without the noise of heights.
+    They are those of `Fit.sigma`, without the noise of heights. In a plane with more than 200
+    points, errors at two places correlate as by 200 that are spread over them, over longer
+    distances than by all.
     """
     scaled_ground = original.scaling.ground(ground)
     image = original.scaling.image(original.project(ground))
@@ -112,7 +114,10 @@ def covariances(original: Fit, ground: FloatArray) -> Spread | None:
     if courses is not None:
         spans = [_span(courses.covariance(scaled_ground[visible], image[visible], axis), visible,
                        axis) for axis in (0, 1)]
-        return _spread_of_spans(spans, np.full(2, courses.noise))
+        spread_courses = _spread_of_spans(spans, np.full(2, courses.noise))
+        variance = np.zeros(image.shape)
+        variance[visible] = courses.squares(scaled_ground[visible], image[visible])
+        return _with_variance(spread_courses, variance)
     spread: Spread | None = original.estimator.spread(original, scaled_ground)
     if spread is not None and spread.factors is None:  # a local model, which shows no covariances
         spread = _with_correlations_of_polynomial(spread, original, scaled_ground, image)
@@ -138,9 +143,15 @@ def _with_correlations_of_polynomial(spread: Spread, original: Fit, scaled_groun
                                scaled_ground, image)
     if believed is None or believed.factors is None:
         return None
-    squares = np.maximum((believed.factors**2).sum(axis=2), np.finfo(float).tiny)
-    factors = believed.factors * np.sqrt(spread.variance / squares)[:, :, None]
-    return Spread(spread.variance, spread.noise, factors)
+    return _with_variance(replace(believed, noise=spread.noise), spread.variance)
+
+
+def _with_variance(spread: Spread, variance: FloatArray) -> Spread:
+    """Return a spread with other variances (m, 2), whose errors correlate as before."""
+    assert spread.factors is not None
+    squares = np.maximum((spread.factors**2).sum(axis=2), np.finfo(float).tiny)
+    factors = spread.factors * np.sqrt(variance / squares)[:, :, None]
+    return Spread(variance, spread.noise, factors)
 
 
 def _spread_of_spans(spans: Sequence[FloatArray], noise: FloatArray) -> Spread:
