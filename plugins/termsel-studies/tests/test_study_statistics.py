@@ -237,6 +237,15 @@ def test_what_failed_is_counted_as_worst_and_what_waits_is_not_counted() -> None
     assert "Without a result, and counted as worst: 2 of 4 runs." in claims(groups, None, rows)
 
 
+@pytest.mark.parametrize(("proven", "optimum", "n"), [(False, None, 1), (True, 1.0, 0),
+                                                     (False, 1.0, 0)])
+def test_an_optimum_that_exact_did_not_prove_is_said(proven: bool, optimum: float | None,
+                                                     n: int) -> None:
+    rows = [_row(), _row(solver="exact", proven=proven, optimum=optimum)]
+    said = claims(group(rows, {"c": NO_RECORD}), None, rows)
+    assert sum(sentence.startswith("Not proven: 1 run of exact") for sentence in said) == n
+
+
 def test_problems_with_models_of_their_own_are_compared_by_their_fitness() -> None:
     own = {"a": ("poly2d", "check-rmse"), "b": ("rfm", "press"), "c": ("rfm", "press")}
     rows = [_row(problem=name, model=model, criterion=criterion, objective=criterion, solver=solver)

@@ -46,6 +46,12 @@ def claims(groups: Groups, comparison: Comparison | None, rows: list[Row]) -> li
     if failed:
         sentences.append(f"Without a result, and counted as worst: {failed} of "
                          f"{counted(len(rows), 'run')}.")
+    n_unproven = sum(
+        (row.get("solver") or "").split(",")[0] == "exact" and row["state"] == "done"
+        and not row.get("proven") and row.get("optimum") is None for row in rows)
+    if n_unproven:
+        sentences.append(f"Not proven: {counted(n_unproven, 'run')} of exact ended before the "
+                         "optimum was proven, so a better selection may exist.")
     if groups.measure == "fitness":
         sentences.append("The fitness chose the selections, so it is not the accuracy: compare the "
                          "RMSE at independent check points (ICP).")
