@@ -33,7 +33,7 @@ from pathlib import Path
 ANYTHING = "..."
 _FENCE = re.compile(r"^```([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _OUTPUT = re.compile(r"\n\n```text\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-_NOT_RUN = re.compile(r"<!-- (not run|tests)[^>]*-->\s*$")
+_NOT_RUN = re.compile(r"<!-- (not run|tests|generated: package)[^>]*-->\s*$")
 _INSTALLS = re.compile(r".*\bpip install [^&|;]*(&& |$)")
 _DOWNLOAD = re.compile(r"\{download\}`[^`<]*<([^`>]+)>`")
 _CHANGES = re.compile(r"(?:(.*?) && )?cd (\S+)")
