@@ -141,7 +141,7 @@ def delivered_rpc(image: Path | str) -> Rpc | None:
     instead = "" if delivered is None else f" That of {delivered.source} is used."
     log.warning("Note: the RPC of %s was fitted by termsel to %s, and is not used as the "
                 "vendor's.%s", exported, counted(rpc.control_count, "control feature"), instead
-                or f" To use it as such: --rpc {path.with_name(exported)}")
+                or f" To use it with other points: --rpc {path.with_name(exported)}")
     return delivered
 
 
