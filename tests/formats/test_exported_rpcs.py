@@ -14,7 +14,15 @@ from termsel.core.errors import TermselError
 from termsel.data.features import FeatureSet, Lines, Points
 from termsel.data.fingerprints import KEPT, made_by, makers_of
 from termsel.data.roles import Observations
-from termsel.formats.rpc_files import delivered_rpc, read_rpc, rpb_text, rpc_txt_text, with_rpc
+from termsel.formats.rpc_control import read_errors
+from termsel.formats.rpc_files import (
+    delivered_rpc,
+    from_items,
+    read_rpc,
+    rpb_text,
+    rpc_txt_text,
+    with_rpc,
+)
 from termsel.runs.exported_rpc import _is_taken_away, doubt_of_fitted_rpc, refuse_makers
 from termsel.simulate.example import SENSOR, SIZE, corners, vendor_rpc
 from termsel.toolkit.files import rpc_items
@@ -188,6 +196,70 @@ def test_a_vrt_and_its_copy_carry_the_mark(image: Path) -> None:
     for path in (vrt, tiff):
         assert read_rpc(path).control_count == 12
         assert delivered_rpc(path) is None
+
+
+@pytest.mark.parametrize("ending", [".RPB", "_RPC.TXT"])
+def test_gdals_copies_say_that_termsel_fitted_the_rpc(
+        image: Path, ending: str, caplog: pytest.LogCaptureFixture) -> None:
+    from rasterio.shutil import copy
+
+    rpc = replace(fitted_rpc(points(12)), error_random=0.25)
+    text = rpb_text(rpc) if ending == ".RPB" else rpc_txt_text(rpc)
+    image.with_name(f"scene{ending}").write_text(text)
+    # A file beside an image, then tags, then a file again, and tags of that.
+    tags = image.with_name("tags.tif")
+    again = image.with_name("again.tif")
+    vrt = image.with_name("again.vrt")
+    copy(image, tags, driver="GTiff")
+    copy(tags, again, driver="GTiff", RPB=True, RPCTXT=True, PROFILE="BASELINE")
+    copy(tags, vrt, driver="VRT")
+    for path in (tags, again, vrt, image.with_name("again.RPB"),
+                 image.with_name("again_RPC.TXT")):
+        read = read_rpc(path)
+        assert read.control_count == 12
+        assert not read.control_digests
+        assert (read.error_bias, read.error_random) == (None, 0.25)
+        assert delivered_rpc(path) is None if path.suffix in (".tif", ".vrt") else True
+    assert f"--rpc {tags}" in caplog.text
+
+
+@pytest.mark.parametrize(("bias", "random"), [
+    (None, None), (0.0, 3.0), (3.94, 0.12), (1 / 3, 2e-7), (1234567.0, 1e12)])
+def test_errors_that_an_rpc_states_are_kept_beside_the_mark(
+        bias: float | None, random: float | None) -> None:
+    stated = replace(vendor_rpc(), error_bias=bias, error_random=random)
+    for control in (points(7), scattered(1000)):
+        rpc = made_by(stated, control)
+        again = from_items(rpc_items(rpc))
+        assert again == rpc
+        assert again.control_count == len(control)
+        for error, original in ((again.error_bias, bias), (again.error_random, random)):
+            assert error == (pytest.approx(original, rel=1e-5) if original else None)
+    many = replace(rpc, control_count=100_001)
+    assert from_items(rpc_items(many)).control_count == 99_999
+
+
+def test_errors_of_vendors_have_no_mark() -> None:
+    rng = np.random.default_rng(0)
+    for bias, random in rng.uniform(0, 30, (3000, 2)).tolist():
+        assert read_errors(bias, random) == (bias, random, 0)
+    for errors in ((None, None), (0.0, 0.0), (3.94, 0.12), (-1.0, -1.0), (None, 0.3)):
+        assert read_errors(*errors) == (*errors, 0)
+
+
+@pytest.mark.parametrize("problem", [None, "rpc-gcps"])
+def test_what_its_own_points_say_of_an_rpc_without_its_record_is_cautioned(
+        problem: str | None) -> None:
+    pytest.importorskip("termsel_rpc")
+    features = points(16)
+    own = fitted_rpc(features.take(np.arange(16) < 12))
+    copied = from_items(rpc_items(own))
+    budget = {} if problem is None else {"evaluations": 200}
+    result = termsel.run(problem, features=replace(features, rpc=copied), **budget)
+    assert "fitted by termsel to 12 control features that its file no longer" in result.notes[0]
+    screen = " ".join(result.summary().split())
+    assert "Caution The RPC was fitted by termsel to 12 control features" in screen
+    assert "if these points are among them, the accuracy stated is too good" in screen
 
 
 @pytest.mark.parametrize("problem", [None, "rpc-gcps"])

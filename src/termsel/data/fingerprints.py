@@ -24,13 +24,26 @@ _DEGREE_DECIMALS = 7  # some cm
 _LARGEST_DEGREES = 360.0
 _CHANCE = 1e-6
 """Share of sets of other features that are taken for the remaining control of an RPC."""
+ERROR_DIGITS = 6
+"""Digits of the stated errors of an RPC that termsel fitted: those behind them say that it did."""
 
 
 def made_by(rpc: Rpc, control: FeatureSet) -> Rpc:
-    """Return an RPC that keeps a record of the control it was fitted to, and of any before that."""
+    """Return an RPC that keeps a record of the control it was fitted to, and of any before that.
+
+    Its errors get the digits that its file has room for.
+    """
     digests = {digest for pair in _vertex_digests(control) for digest in pair}
+    bias = _rounded_error(rpc.error_bias)
+    random = _rounded_error(rpc.error_random)
     return replace(rpc, control_count=rpc.control_count + len(control),
-                   control_digests=tuple(sorted(digests.union(rpc.control_digests))[:KEPT]))
+                   control_digests=tuple(sorted(digests.union(rpc.control_digests))[:KEPT]),
+                   error_bias=bias, error_random=random)
+
+
+def _rounded_error(error: float | None) -> float | None:
+    """Return a stated error with `ERROR_DIGITS` digits; None for 0, which says nothing."""
+    return float(f"{error:.{ERROR_DIGITS - 1}e}") if error else None
 
 
 def makers_of(rpc: Rpc, features: FeatureSet) -> list[str]:

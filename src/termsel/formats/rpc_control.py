@@ -1,7 +1,9 @@
 """The control that an RPC was fitted to, as its file carries it beside the coefficients.
 
 GDAL, OTB and others skip these entries: a group of its own in an RPB, further lines of a _RPC.TXT,
-items of a raster's metadata.
+items of a raster's metadata. They do not copy them either. What they copy is numbers, so that the
+two stated errors say as well that termsel fitted the RPC, in digits that mean nothing: of 15 digits
+the first 6 are the error, 4 are a mark, 5 the number of control features.
 """
 
 from __future__ import annotations
@@ -10,7 +12,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import replace
 
-from termsel.data.fingerprints import KEPT
+from termsel.data.fingerprints import ERROR_DIGITS, KEPT
 from termsel.data.rpc import Rpc
 
 _NOTE = "TERMSEL_NOTE"
@@ -20,6 +22,9 @@ _DIGESTS = "TERMSEL_CONTROL_DIGESTS"
 _DIGESTS_PER_LINE = 5  # GDAL reads lines of up to 100 characters of a _RPC.TXT, and 200 of them
 _DIGEST = re.compile(r"\b[0-9a-f]{12}\b")
 _LARGEST_COUNT = 10**9
+_DIGITS = 15  # that a double keeps, and the tag of a GeoTIFF
+_MARK = "2735"  # chance gives two errors this mark, and one count, once in 10^13
+_COUNT_DIGITS = _DIGITS - ERROR_DIGITS - len(_MARK)
 
 
 def control_items(rpc: Rpc) -> dict[str, str]:
@@ -50,6 +55,43 @@ def control_lines(rpc: Rpc) -> list[str]:
         lines.append(f"{_DIGESTS}_{start // _DIGESTS_PER_LINE + 1}: "
                      f"{' '.join(digests[start:start + _DIGESTS_PER_LINE])}")
     return lines
+
+
+def marked_error(error: float, count: int) -> float:
+    """Return a stated error with digits that say how many control features an RPC was fitted to.
+
+    As it is for a vendor's RPC, whose count is 0.
+    """
+    if not count:
+        return error
+    significand, _, exponent = f"{error:.{ERROR_DIGITS - 1}e}".partition("e")
+    largest = 10**_COUNT_DIGITS - 1
+    return float(f"{significand}{_MARK}{min(count, largest):0{_COUNT_DIGITS}d}e{exponent}")
+
+
+def read_errors(bias: float | None, random: float | None,
+                ) -> tuple[float | None, float | None, int]:
+    """Return stated errors without the mark of `marked_error`, and the count that it had.
+
+    The count is 0, and the errors are as they are, where not both have the mark and one count.
+    """
+    if bias is None or random is None:
+        return bias, random, 0
+    bias_without, count = _error_and_count(bias)
+    random_without, again = _error_and_count(random)
+    if not count or count != again:
+        return bias, random, 0
+    return bias_without, random_without, count
+
+
+def _error_and_count(error: float) -> tuple[float, int]:
+    """Return an error without its mark and the count behind the mark; 0 without a mark."""
+    significand, _, exponent = f"{error:.{_DIGITS - 1}e}".partition("e")
+    count = significand[-_COUNT_DIGITS:]
+    stated = significand[:-_COUNT_DIGITS]
+    if not stated.endswith(_MARK):
+        return error, 0
+    return float(f"{stated.removesuffix(_MARK)}e{exponent}"), int(count)
 
 
 def with_control(rpc: Rpc, items: Mapping[str, str]) -> Rpc:

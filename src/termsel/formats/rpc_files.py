@@ -19,7 +19,13 @@ from termsel.data.fingerprints import is_cut, makers_of
 from termsel.data.rasters import open_raster, without_siblings
 from termsel.data.rpc import N_COEFFICIENTS, Rpc
 from termsel.formats.base import is_utf16, located, read_data, read_head, read_text
-from termsel.formats.rpc_control import control_group, control_lines, with_control
+from termsel.formats.rpc_control import (
+    control_group,
+    control_lines,
+    marked_error,
+    read_errors,
+    with_control,
+)
 from termsel.formats.rpc_forms import (
     Items,
     largest_difference,
@@ -243,11 +249,11 @@ def _rpc_of_head(path: Path, head: bytes, rpc_name: str) -> Rpc:
 def _with_control_beside(rpc: Rpc, image: Path) -> Rpc:
     """Return the RPC of an image with the control that the file next to it names, if it has one.
 
-    GDAL passes on the numbers of such a file alone.
+    GDAL passes on the numbers of such a file alone, which say no more than how many there are.
     """
-    if rpc.control_count:
+    if rpc.control_digests:
         return rpc
-    same = (other for _, other in _rpcs_beside(image) if other == rpc and other.control_count)
+    same = (other for _, other in _rpcs_beside(image) if other == rpc and other.control_digests)
     return next(same, rpc)
 
 
@@ -345,9 +351,8 @@ def from_items(items: Mapping[str, str]) -> Rpc:
                                hint=_INCOMPLETE)
         return numbers
 
-    # Negative errors stand for unknown ones.
-    bias, random = (None if not items.get(name) or (error := number_of(name)) < 0 else error
-                    for name in ERROR_NAMES)
+    bias, random, count = read_errors(*(number_of(name) if items.get(name) else None
+                                        for name in ERROR_NAMES))
     return Rpc(
         image_offset=(number_of("LINE_OFF"), number_of("SAMP_OFF")),
         image_scale=(number_of("LINE_SCALE"), number_of("SAMP_SCALE")),
@@ -357,7 +362,12 @@ def from_items(items: Mapping[str, str]) -> Rpc:
         line_denominator=coefficients_of("LINE_DEN_COEFF"),
         sample_numerator=coefficients_of("SAMP_NUM_COEFF"),
         sample_denominator=coefficients_of("SAMP_DEN_COEFF"),
-        error_bias=bias, error_random=random)
+        error_bias=_known_error(bias), error_random=_known_error(random), control_count=count)
+
+
+def _known_error(error: float | None) -> float | None:
+    """Return a stated error; None for a negative one, which stands for one that is not known."""
+    return None if error is None or error < 0.0 else error
 
 
 def _number_of_item(text: str, name: str, line: int | None = None) -> float:
@@ -531,6 +541,6 @@ def _values_by_gdal_name(rpc: Rpc) -> dict[str, float | tuple[float, ...]]:
     values = (line, sample, lat, lon, height, line_scale, sample_scale, lat_scale, lon_scale,
               height_scale, rpc.line_numerator, rpc.line_denominator, rpc.sample_numerator,
               rpc.sample_denominator)
-    errors = (_UNKNOWN if error is None else error
+    errors = (marked_error(_UNKNOWN if error is None else error, rpc.control_count)
               for error in (rpc.error_bias, rpc.error_random))
     return dict(zip((*ERROR_NAMES, *RPB_NAMES), (*errors, *values), strict=True))

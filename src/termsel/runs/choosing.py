@@ -32,7 +32,7 @@ from termsel.fitting.fit import Fit, Undetermined
 from termsel.models.base import SensorModel
 from termsel.plugins.registry import registry
 from termsel.runs.data_notes import notes_on_data, notes_on_dem
-from termsel.runs.exported_rpc import doubt_of_fitted_rpc
+from termsel.runs.exported_rpc import doubt_of_rpc
 from termsel.runs.finding import Finding, plugins_of
 from termsel.runs.judgement import best_conventional, judge_choice
 from termsel.runs.request import Request
@@ -192,9 +192,9 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
         fitted.model.uses_height and not data.heights)
     lattice = clean.lattice
     notes = (
+        *([doubt] if (doubt := rpc_correction and doubt_of_rpc(clean)) else []),
         *notes_on_dem(request.features, fitted),
         *filter(None, (rpc_unused, rpc_correction)),
-        *([doubt] if (doubt := rpc_correction and doubt_of_fitted_rpc(clean)) else []),
         *notes_on_data(request.features, observations, heights=not heights_are_known,
                        blank=request.blank, clean=clean),
         *_notes(request.model, clean, errors, interrupted, plane=not fitted.model.uses_height,

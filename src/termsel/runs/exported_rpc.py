@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from msgspec import convert, json
 
-from termsel.core.errors import TermselError
+from termsel.core.errors import TermselError, counted
 from termsel.data.coordinates.crs import to_wgs84
 from termsel.data.features import FloatArray
 from termsel.data.fingerprints import are_remaining_makers, is_cut, makers_of
@@ -27,8 +27,10 @@ _NAMED = 6
 """Ids in a message."""
 _COUNT = "control_count"
 
-RPC_DOUBT = "The RPC fits these points as if it had been fitted to them"
-"""Beginning of the note on an RPC whose accuracy cannot be believed."""
+_FITTED = "The RPC fits these points as if it had been fitted to them"
+_WITHOUT_RECORD = "The RPC was fitted by termsel"
+RPC_DOUBTS = (_FITTED, _WITHOUT_RECORD)
+"""Beginnings of the notes on an RPC whose accuracy cannot be believed."""
 
 
 def rpc_of_model(model: SensorModel) -> Rpc | None:
@@ -73,6 +75,22 @@ def refuse_makers(rpc: Rpc | None, observations: Observations) -> None:
         "stated from them would be too good", hint=hint, ids=makers)
 
 
+def doubt_of_rpc(observations: Observations) -> str:
+    """Return why the accuracy of an RPC cannot be believed, or ""."""
+    rpc = observations.together.rpc
+    lost = "" if rpc is None else rpc_without_record(rpc)
+    return lost or doubt_of_fitted_rpc(observations)
+
+
+def rpc_without_record(rpc: Rpc) -> str:
+    """Return what follows from a file that lost which control its RPC was fitted to, or ""."""
+    if not rpc.control_count or rpc.control_digests:
+        return ""
+    return (f"{_WITHOUT_RECORD} to {counted(rpc.control_count, 'control feature')} that its file "
+            "no longer names: if these points are among them, the accuracy stated is too good. "
+            "Give the RPC that the vendor delivered, or the file that termsel wrote.")
+
+
 def doubt_of_fitted_rpc(observations: Observations) -> str:
     """Return that an RPC seems to have been fitted to the points that are to test it, or ""."""
     for features in (observations.together, observations.control):
@@ -86,7 +104,7 @@ def doubt_of_fitted_rpc(observations: Observations) -> str:
         affine = np.column_stack([shift, image - image.mean(axis=0)])
         rmse = float(np.sqrt((errors**2).sum(axis=1).mean()))
         if rmse < _FINEST or _is_taken_away(shift, errors) or _is_taken_away(affine, errors):
-            return (f"{RPC_DOUBT}: "
+            return (f"{_FITTED}: "
                     f"{rmse:.2g} px at {len(errors)} points as delivered, without any shift. If "
                     "so, they cannot test it, and the accuracy stated is too good. Give the RPC "
                     "that the vendor delivered.")

@@ -32,6 +32,7 @@ from termsel.models.base import SensorModel
 from termsel.results.result import Result, of_certificate
 from termsel.results.same_fit import has_pole, least_squares_of
 from termsel.runs.data_notes import notes_on_data, notes_on_dem
+from termsel.runs.exported_rpc import doubt_of_rpc, rpc_of_model
 from termsel.runs.finding import Finding, data_of, notes_on_sessions, plugins_of, result_of
 from termsel.runs.fit_crs import note_on_pole
 from termsel.runs.judgement import judge, name_conventional, notes_on
@@ -237,7 +238,9 @@ def finding_of(task: Task, search: SearchResult, auto: Auto,
                      method=comparison.method, blunders=comparison.blunders,
                      evaluations=None if task.solver.ends_by_itself else search.evaluations)
 
-    notes = (*notes_on_dem(task.features, fitted),
+    doubt = "" if rpc_of_model(task.model) is None else doubt_of_rpc(observations)
+    notes = (*([doubt] if doubt else []),
+             *notes_on_dem(task.features, fitted),
              *notes_on_data(task.features, observations, task.model.uses_height,
                             task.request.blank, observations.control),
              *filter(None, [note_on_pole(observations.features, observations.control)]),

@@ -4,7 +4,8 @@ from termsel.core.interrupts import INTERRUPTED as INTERRUPTED
 from termsel.core.interrupts import answered as answered
 from termsel.core.isolation.arrays import of_shape as of_shape
 from termsel.core.isolation.faults import wrong as wrong
-from termsel.runs.exported_rpc import RPC_DOUBT as RPC_DOUBT
+from termsel.runs.exported_rpc import RPC_DOUBTS as RPC_DOUBTS
+from termsel.runs.exported_rpc import rpc_without_record as rpc_without_record
 from termsel.runs.finding import versions as versions
 from termsel.runs.notebook import notebook_observer as notebook_observer
 from termsel.runs.recommend import recommended as recommended

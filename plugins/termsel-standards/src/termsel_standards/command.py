@@ -103,14 +103,14 @@ def _results_of(folder: Path) -> list[Result]:
     """Return the result of a folder, or those of its folders, as of a block and a batch."""
     from termsel import read_result
     from termsel.toolkit.files import results_within
-    from termsel.toolkit.runs import RPC_DOUBT
+    from termsel.toolkit.runs import RPC_DOUBTS
 
     inner = [] if (folder / "result.json").exists() else results_within(folder)
     results = [read_result(result) for result in inner] or [read_result(folder)]
     # A statement is signed: what makes its figures too good is said beside it.
     for result in results:
         for note in result.notes:
-            if note.startswith(RPC_DOUBT):
+            if note.startswith(RPC_DOUBTS):
                 click.echo(f"Warning: {result.data.source}: {note}", err=True)
     return results
 

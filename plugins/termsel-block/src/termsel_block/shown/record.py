@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 
 from termsel.toolkit.models import off_as_a_whole
+from termsel.toolkit.runs import rpc_without_record
 from termsel_block.accuracy import in_space, independent_points, predicted, rmse
 from termsel_block.contradictions import doubts_of_models
 from termsel_block.geometry.cameras import RpcCamera
@@ -146,7 +147,8 @@ def record_of(result: BlockResult) -> BlockRecord:
 def doubts(result: BlockResult) -> list[str]:
     """Return what is unlikely of good data, as sentences with advice; [] if nothing is."""
     adjusted = result.adjusted
-    notes = []
+    notes = [f"Image {image.name}: {doubt}" for image in result.block.images
+             if image.rpc is not None and (doubt := rpc_without_record(image.rpc))]
     if adjusted.state.sigma_ties > _COARSE:
         notes.append(f"Ties agree to {adjusted.state.sigma_ties:.1f} px only, which is coarse for "
                     "measurements: check RPCs and ties, and that line and sample are not "
