@@ -5,7 +5,9 @@ from __future__ import annotations
 import doctest
 import inspect
 import re
+from importlib import import_module, util
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -14,6 +16,20 @@ from termsel.results.result import Result
 
 FUNCTIONS = [name for name in termsel.__all__ if inspect.isfunction(getattr(termsel, name))]
 CLASSES = [name for name in termsel.__all__ if inspect.isclass(getattr(termsel, name))]
+OTHER_MODULES = ("termsel.simulate", "termsel.testing", "termsel_block", "termsel_cameras",
+                 "termsel_formats", "termsel_hybrids", "termsel_optimisers", "termsel_rpc",
+                 "termsel_sklearn", "termsel_standards", "termsel_studies")
+"""Modules with public names besides `termsel`."""
+
+
+def _public_functions() -> list[Any]:
+    """Return the public functions of the other modules that are installed."""
+    modules = [import_module(name) for name in OTHER_MODULES if util.find_spec(name)]
+    things = [getattr(module, name) for module in modules for name in module.__all__]
+    return [thing for thing in things if inspect.isfunction(thing)]
+
+
+OTHER_FUNCTIONS = _public_functions()
 
 
 def _sections(thing: object) -> set[str]:
@@ -25,6 +41,14 @@ def _sections(thing: object) -> set[str]:
 def test_a_public_function_has_returns_and_an_example(name: str) -> None:
     sections = _sections(getattr(termsel, name))
     assert sections & {"Returns", "Yields"}
+    assert "Examples" in sections
+
+
+@pytest.mark.parametrize("function", OTHER_FUNCTIONS, ids=lambda function: function.__name__)
+def test_a_public_function_of_other_modules_has_returns_and_an_example(function: Any) -> None:
+    sections = _sections(function)
+    returns_nothing = inspect.signature(function).return_annotation in (None, "None")
+    assert returns_nothing or sections & {"Returns", "Yields"}
     assert "Examples" in sections
 
 
@@ -40,12 +64,14 @@ def test_a_result_documents_attributes() -> None:
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("name", [*FUNCTIONS, *CLASSES])
-def test_examples_show_what_is_printed(name: str, tmp_path: Path,
+@pytest.mark.parametrize(
+    "documented", [*[getattr(termsel, name) for name in [*FUNCTIONS, *CLASSES]], *OTHER_FUNCTIONS],
+    ids=lambda documented: documented.__name__)
+def test_examples_show_what_is_printed(documented: Any, tmp_path: Path,
                                        monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     example = doctest.DocTestParser().get_doctest(
-        inspect.getdoc(getattr(termsel, name)) or "", {}, name, None, None)
+        inspect.getdoc(documented) or "", {}, documented.__name__, None, None)
     assert example.examples
     lines: list[str] = []
     doctest.DocTestRunner(optionflags=doctest.ELLIPSIS).run(example, out=lines.append)

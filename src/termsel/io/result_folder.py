@@ -116,7 +116,7 @@ def write_result(result: Result, folder: Path | str) -> None:
     Examples
     --------
     >>> import tempfile, termsel
-    >>> result = termsel.run(features=termsel.simulate_scene("spot-isfahan"), strategy="fixed",
+    >>> result = termsel.run(features=termsel.simulate_scene("spot-isfahan"), strategy="as-asked",
     ...                      model="affine", solver="all-terms")
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     termsel.write_result(result, folder)

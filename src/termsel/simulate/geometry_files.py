@@ -26,6 +26,19 @@ def geometry_text(sensor: Pushbroom) -> str:
     ----------
     sensor : Pushbroom
         With one `offset` for the whole image.
+
+    Returns
+    -------
+    str
+        JSON with the schema ``termsel-pushbroom-1``.
+
+    Examples
+    --------
+    >>> import json
+    >>> from termsel.simulate import geometry_text, scene_truth
+    >>> geometry = json.loads(geometry_text(scene_truth("ikonos-hamedan").sensor))
+    >>> geometry["schema"]
+    'termsel-pushbroom-1'
     """
     return json.dumps({"schema": SCHEMA, **asdict(sensor)}, indent=1) + "\n"
 
@@ -38,10 +51,21 @@ def geometry_from(text: str) -> Pushbroom:
     text : str
         JSON with the schema ``termsel-pushbroom-1``.
 
+    Returns
+    -------
+    Pushbroom
+
     Raises
     ------
     TermselError
         If the text is not a geometry, or a field is missing or invalid.
+
+    Examples
+    --------
+    >>> from termsel.simulate import geometry_from, geometry_text, scene_truth
+    >>> sensor = scene_truth("ikonos-hamedan").sensor
+    >>> geometry_from(geometry_text(sensor)) == sensor
+    True
     """
     content = parse_json(text, _EXPECTED)
     if not isinstance(content, dict) or content.get("schema") != SCHEMA:
@@ -70,6 +94,11 @@ def write_geometry(sensor: Pushbroom, path: Path | str) -> None:
     ------
     TermselError
         If the file cannot be written.
+
+    Examples
+    --------
+    >>> from termsel.simulate import scene_truth, write_geometry
+    >>> write_geometry(scene_truth("ikonos-hamedan").sensor, "scanner.json")
     """
     write_text(Path(path), geometry_text(sensor))
 
@@ -82,10 +111,22 @@ def read_geometry(path: Path | str) -> Pushbroom:
     path : path-like
         JSON with the schema ``termsel-pushbroom-1``.
 
+    Returns
+    -------
+    Pushbroom
+
     Raises
     ------
     TermselError
         If the file cannot be read, and as `geometry_from`.
+
+    Examples
+    --------
+    >>> from termsel.simulate import read_geometry, scene_truth, write_geometry
+    >>> sensor = scene_truth("ikonos-hamedan").sensor
+    >>> write_geometry(sensor, "scanner.json")
+    >>> read_geometry("scanner.json") == sensor
+    True
     """
     path = Path(path)
     read_head(path, _EXPECTED)

@@ -55,6 +55,15 @@ def pushbroom_at(
     ------
     TermselError
         If no such orbit reaches the latitude.
+
+    Examples
+    --------
+    >>> from termsel.simulate import pushbroom_at
+    >>> scanner = pushbroom_at(48.5, 34.8, off_nadir=20.0, gsd=1.0, image_size=(1000, 800),
+    ...                        altitude=681_000.0, inclination=98.1)
+    >>> middle = scanner.project([[48.5, 34.8, 0.0]])
+    >>> middle.round(1).tolist()
+    [[499.5, 399.5]]
     """
     tilt = np.radians(off_nadir)
     turn = np.radians(look_azimuth)

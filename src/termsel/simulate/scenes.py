@@ -147,6 +147,14 @@ def scene_truth(
     ------
     TermselError
         As `simulate_scene`.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> from termsel.simulate import scene_truth
+    >>> truth = scene_truth("ikonos-hamedan", wrong_lines=8)
+    >>> len(truth.wrong_lines)
+    8
     """
     scene = _scene(name)
     n_lines, wrong = _line_counts(scene, n_lines, wrong_lines)

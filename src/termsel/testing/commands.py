@@ -22,6 +22,13 @@ def invoke(*words: object) -> Result:
     click.testing.Result
         With `exit_code`, `stdout` and `stderr`; the code is 2 for what the user can correct. Other
         exceptions are faults, and pass.
+
+    Examples
+    --------
+    >>> from termsel.testing import invoke
+    >>> shown = invoke("describe", "affine")
+    >>> shown.exit_code, shown.stdout.splitlines()[0]
+    (0, 'affine: model of termsel')
     """
     from click.testing import CliRunner
 

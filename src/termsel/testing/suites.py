@@ -90,6 +90,7 @@ def checks(thing: Any, *, expected_failures: Mapping[str, str] | None = None,
     Examples
     --------
     >>> from termsel.models.polynomial import Affine
+    >>> from termsel.testing import checks
     >>> checks(Affine)[0].name
     'declaration'
     """
@@ -121,6 +122,7 @@ def check(thing: Any, *, expected_failures: Mapping[str, str] | None = None,
     Examples
     --------
     >>> from termsel.selection.criteria import CheckRmse
+    >>> from termsel.testing import check
     >>> check(CheckRmse)
     """
     run_all(checks(thing, expected_failures=expected_failures, **about))

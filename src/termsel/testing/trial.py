@@ -71,7 +71,24 @@ class Trial:
 
 
 def global_states() -> tuple[Any, ...]:
-    """Return the states of `random` and `numpy.random`, to be compared."""
+    """Return the states of `random` and `numpy.random`, to be compared.
+
+    Returns
+    -------
+    tuple
+        Equal to another one if neither generator was used between the two calls.
+
+    Examples
+    --------
+    >>> import random
+    >>> from termsel.testing import global_states
+    >>> before = global_states()
+    >>> global_states() == before
+    True
+    >>> number = random.random()
+    >>> global_states() == before
+    False
+    """
     name, keys, *others_state = np.random.get_state()
     return random.getstate(), name, np.asarray(keys).tobytes(), tuple(others_state)
 

@@ -154,6 +154,12 @@ def example_results() -> tuple[Result, ...]:
     Returns
     -------
     tuple of Result
+
+    Examples
+    --------
+    >>> from termsel.testing import example_results
+    >>> [len(result.features.points) for result in example_results()]
+    [60, 60]
     """
     model = RationalFunctions(order=1)
     rng = seeded()

@@ -110,6 +110,15 @@ def adjust(block: Block, *, progress: Callable[[float], None] | None = None) -> 
     -----
     An image whose sensor is contradicted is adjusted as one of an unknown sensor. The block of the
     result then has it without that option, and says so in its notes.
+
+    Examples
+    --------
+    >>> from termsel.testing import invoke
+    >>> from termsel_block import adjust, read_block
+    >>> written = invoke("block-example", "scene")  # three images, of which one has no control
+    >>> adjusted = adjust(read_block("scene/block.toml"))
+    >>> len(adjusted.block.images)
+    3
     """
     frame = Frame.at(_places(block), block.crs)
     result = _adjust_as_stated(block, frame, progress)

@@ -45,6 +45,11 @@ def from_ask_tell(factory: Callable[[Problem, np.random.Generator], AskTell], *,
     max_objectives : int
         Most objectives that it takes.
 
+    Returns
+    -------
+    type[Solver]
+        For the argument ``solver`` of `termsel.run`, `termsel.search` and `termsel.compare`.
+
     Raises
     ------
     TermselError

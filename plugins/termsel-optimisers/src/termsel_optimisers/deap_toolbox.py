@@ -145,6 +145,10 @@ def to_deap(problem: Problem) -> base.Toolbox:
     problem : Problem
         Such as that of a task that `termsel.prepare` returns.
 
+    Returns
+    -------
+    deap.base.Toolbox
+
     Examples
     --------
     >>> import random, termsel, termsel_optimisers

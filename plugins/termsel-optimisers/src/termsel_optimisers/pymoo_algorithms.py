@@ -144,6 +144,11 @@ def from_pymoo(algorithm: Algorithm, *, name: str | None = None) -> type[Solver]
     name : str, optional
         Of the solver; by default that of the algorithm's class.
 
+    Returns
+    -------
+    type[Solver]
+        For the argument ``solver`` of `termsel.run`, `termsel.search` and `termsel.compare`.
+
     Raises
     ------
     TermselError

@@ -59,6 +59,12 @@ def candidates() -> FeatureSet:
     -------
     FeatureSet
         WGS84 longitude, latitude [deg], ellipsoidal height [m].
+
+    Examples
+    --------
+    >>> from termsel_rpc import candidates
+    >>> len(candidates().points)
+    240
     """
     scene = simulate_scene(SCENE, n_points=_POINTS, n_lines=0, noise=0.0)
     return _measured_scene(scene, quality(), np.random.default_rng(_SEED))
@@ -81,6 +87,12 @@ def matches(wrong: float = 0.3, seed: int = 0) -> FeatureSet:
     -------
     FeatureSet
         WGS84 longitude, latitude [deg], ellipsoidal height [m].
+
+    Examples
+    --------
+    >>> from termsel_rpc import matches
+    >>> len(matches(wrong=0.5).points)
+    200
     """
     scene = simulate_scene(NOMINAL[MATCHES], seed=seed, noise=0.0)
     control = np.flatnonzero(np.array(scene.points.roles) == "control")

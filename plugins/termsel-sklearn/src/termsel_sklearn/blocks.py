@@ -33,6 +33,7 @@ def spatial_blocks(X: Any, across: int = 3) -> IntArray:
 
     Examples
     --------
+    >>> from termsel_sklearn import spatial_blocks
     >>> spatial_blocks([[0, 0], [0, 9], [9, 0], [9, 9]], across=2).tolist()
     [0, 1, 2, 3]
     """

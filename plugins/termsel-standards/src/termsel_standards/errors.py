@@ -82,6 +82,14 @@ def errors_of(result: Result) -> GroundErrors:
     TermselError
         If there are no independent points, if the fit has used them, or if their errors are not
         known in metres.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> from termsel_standards import errors_of
+    >>> result = termsel.run("poly-terms", evaluations=200, options={"degree": 2})
+    >>> len(errors_of(result).ids) == result.rmse["independent"].n
+    True
     """
     points = result.features.points
     points = points.take([role == "independent" for role in points.roles])
@@ -179,6 +187,15 @@ def read_errors(path: Path | str) -> GroundErrors:
     ------
     TermselError
         If the file cannot be read, lacks dx or dy, or has a cell that is no number.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from termsel_standards import read_errors
+    >>> text = "id,dx,dy\\nA,0.4,-0.1\\nB,-0.2,0.3\\nC,0.1,0.2\\n"
+    >>> size = Path("errors.csv").write_text(text)
+    >>> read_errors("errors.csv").ids
+    ('A', 'B', 'C')
     """
     path = Path(path)
     try:

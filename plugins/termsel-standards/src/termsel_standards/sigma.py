@@ -101,6 +101,16 @@ def write_sigma(
     TermselError
         If a file cannot be read or written, if the extent is none, or if the uncertainty is known
         nowhere on it.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> from termsel_standards import write_sigma
+    >>> result = termsel.run("poly-terms", evaluations=200, options={"degree": 2})
+    >>> error = write_sigma(result, "sigma.tif", crs="EPSG:32639", resolution=100.0,
+    ...                     bounds=(269_000, 3_850_000, 274_000, 3_855_000))
+    >>> error < 0.05
+    True
     """
     output = Path(output)
     require_tiff_name(output)

@@ -222,6 +222,15 @@ def statements_of(ground_errors: GroundErrors, horizontal_class: float | None = 
     of the squares of the RMSE against the check points and of the RMSE of their survey, and the
     vertical one likewise. The three-dimensional accuracy is the root of the sum of the squares of
     both. NSSDA takes the survey as free of errors.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> from termsel_standards import errors_of, statements_of
+    >>> result = termsel.run("poly-terms", evaluations=200, options={"degree": 2})
+    >>> stated = statements_of(errors_of(result))
+    >>> stated.statements[0].standard
+    'ASPRS horizontal'
     """
     errors = ground_errors.errors
     n, axes = errors.shape

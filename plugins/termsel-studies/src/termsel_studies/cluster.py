@@ -35,8 +35,35 @@ def on_cluster(cells: Sequence[Cell], features: Mapping[str, FeatureSet], stop: 
                address: str, plugins: Mapping[str, str]) -> Iterator[Outcome]:
     """Yield the outcomes of cells, run by the workers of a scheduler, as they end.
 
-    Every worker needs the same versions of termsel and of the distributions `plugins`. Raises
-    TermselError where one has not, or the scheduler, such as "tcp://host:8786", does not answer.
+    `termsel.compare` calls it if ``scheduler`` is given.
+
+    Parameters
+    ----------
+    cells : sequence of Cell
+        The runs of a study.
+    features : mapping of str to FeatureSet
+        Of the runs that read files, by the name of the data.
+    stop : Stop
+        Budget of each run.
+    address : str
+        Of the scheduler, such as "tcp://host:8786".
+    plugins : mapping of str to str
+        Distributions and their versions, which every worker needs, and the same termsel.
+
+    Yields
+    ------
+    Outcome
+
+    Raises
+    ------
+    TermselError
+        If a worker has other versions, or the scheduler does not answer.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> study = termsel.compare(problems=["poly-terms"], solvers=["random"], seeds=range(20),
+    ...                         scheduler="tcp://host:8786")  # doctest: +SKIP
     """
     required = {**versions(), **plugins}
     waiting = deque(cells)

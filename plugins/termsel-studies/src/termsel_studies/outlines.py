@@ -18,8 +18,32 @@ LONGITUDE_LATITUDE = "EPSG:4326"
 def map_of(study: Study) -> gpd.GeoDataFrame:
     """Return rows of a study with the outline of each image's control.
 
-    Images without a result are left out. Raises TermselError without geopandas, without the folder
-    of the study, or where a result cannot be read.
+    Images without a result are left out.
+
+    Parameters
+    ----------
+    study : Study
+        Run with a folder.
+
+    Returns
+    -------
+    geopandas.GeoDataFrame
+        The columns of `Study.rows`, and the hull of the control, in longitude and latitude.
+
+    Raises
+    ------
+    TermselError
+        Without geopandas, without the folder of the study, or if a result cannot be read.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> from termsel_studies import map_of
+    >>> from termsel.testing import invoke
+    >>> written = invoke("example", "files")
+    >>> study = termsel.compare(data=[{"points": "files/images/image-1.csv"}], out="study")
+    >>> len(map_of(study))
+    1
     """
     if study.folder is None:
         raise TermselError("this study was run without a folder, so its images are not kept",

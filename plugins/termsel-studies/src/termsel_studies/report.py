@@ -31,14 +31,55 @@ _SMALL = ("Arrows are the residuals of all features: blue at control points, ora
 def report(study: Study, charts: list[Figure] | None = None) -> str:
     """Return a page with what may be claimed of a study, finished or not, its tables and charts.
 
-    `charts` are by default those of `figures_of`. Raises TermselError without the extra `report`.
+    Parameters
+    ----------
+    study : Study
+    charts : list of Figure, optional
+        By default those of `figures_of`.
+
+    Returns
+    -------
+    str
+        HTML that needs no other file.
+
+    Raises
+    ------
+    TermselError
+        Without the extra `report`.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> from termsel_studies import report
+    >>> study = termsel.compare(problems=["poly-terms"], solvers=["random"], seeds=[1],
+    ...                         budget={"evaluations": 100})
+    >>> report(study).startswith("<!DOCTYPE html>")
+    True
     """
     return page(_document(study, figures_of(study) if charts is None else charts,
                           thumbnails(study)))
 
 
 def summary(study: Study) -> str:
-    """Return the valid claims on a study, and its main figures, as text."""
+    """Return the valid claims on a study, and its main figures, as text.
+
+    Parameters
+    ----------
+    study : Study
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> import termsel
+    >>> from termsel_studies import summary
+    >>> study = termsel.compare(problems=["poly-terms"], solvers=["random"], seeds=[1],
+    ...                         budget={"evaluations": 100})
+    >>> "random" in summary(study)
+    True
+    """
     return text_of(_document(study, [], {}, brief=True))
 
 

@@ -91,10 +91,22 @@ def read_block(path: Path | str) -> Block:
         each image a table ``[[image]]`` with `name` and any of `points`, `lines`, `rpc`, `image`
         and `model`.
 
+    Returns
+    -------
+    Block
+
     Raises
     ------
     TermselError
         Naming file and place of what is wrong.
+
+    Examples
+    --------
+    >>> from termsel.testing import invoke
+    >>> from termsel_block import read_block
+    >>> written = invoke("block-example", "scene")
+    >>> [image.name for image in read_block("scene/block.toml").images]
+    ['A', 'B', 'C']
     """
     path = Path(path)
     table, text = read_toml(path, "the file of a block", _EXAMPLE)

@@ -94,6 +94,11 @@ def write_block(result: BlockResult, folder: Path | str, *, overwrite: bool = Fa
     progress : callable, optional
         Called with the share that is done.
 
+    Returns
+    -------
+    BlockRecord
+        What block.json holds.
+
     Raises
     ------
     TermselError
@@ -103,6 +108,15 @@ def write_block(result: BlockResult, folder: Path | str, *, overwrite: bool = Fa
     -----
     Numbers come first: report.html is drawn once they are in the folder. Pictures that cannot be
     drawn, and a page that cannot be written, are told by warnings.
+
+    Examples
+    --------
+    >>> from termsel.testing import invoke
+    >>> from termsel_block import adjust, read_block, write_block
+    >>> written = invoke("block-example", "scene")
+    >>> record = write_block(adjust(read_block("scene/block.toml")), "adjusted")
+    >>> [image.name for image in record.images]
+    ['A', 'B', 'C']
     """
     folder = Path(folder)
     names = [image.name for image in result.block.images]

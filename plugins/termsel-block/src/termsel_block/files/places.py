@@ -36,11 +36,25 @@ def write_places(folder: Path | str, target: Path | str, *, overwrite: bool = Fa
     overwrite : bool
         Whether a file that is there may be replaced.
 
+    Returns
+    -------
+    int
+        Number of ties written.
+
     Raises
     ------
     TermselError
         If the folder has no block, the suffix is another, a package is missing, or the file is
         there or cannot be written.
+
+    Examples
+    --------
+    >>> from termsel.testing import invoke
+    >>> from termsel_block import adjust, read_block, write_block, write_places
+    >>> written = invoke("block-example", "scene")
+    >>> record = write_block(adjust(read_block("scene/block.toml")), "adjusted")
+    >>> write_places("adjusted", "ties.gpkg")
+    159
     """
     folder = Path(folder)
     target = Path(target)

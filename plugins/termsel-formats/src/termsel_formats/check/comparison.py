@@ -93,6 +93,18 @@ def compared(path: Path | str, result: Result | None = None, *, final: bool | No
     ------
     TermselError
         If no program can read the file, or no image is known that it goes with.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> from termsel.testing import invoke
+    >>> from termsel_formats import compared
+    >>> written = invoke("example", "files")
+    >>> result = termsel.run("poly-terms", features=termsel.read("files/gcps.csv"),
+    ...                      evaluations=200, options={"degree": 2})
+    >>> deviations, answers = compared("files/ortho.tif", result)
+    >>> any(deviation.program.startswith("rasterio") for deviation in deviations)
+    True
     """
     result = None if result is None else result.as_exported(final)
     with raster_of(Path(path), result) as raster:

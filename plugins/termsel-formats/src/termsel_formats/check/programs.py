@@ -48,6 +48,15 @@ def taken_by(path: Path | str) -> Answers:
     ------
     TermselError
         If no program can read it.
+
+    Examples
+    --------
+    >>> from termsel.testing import invoke
+    >>> from termsel_formats import taken_by
+    >>> written = invoke("example", "files")
+    >>> answers = taken_by("files/ortho.tif")
+    >>> any(taken.program.startswith("rasterio") for taken in answers.taken)
+    True
     """
     path = Path(path)
     answers: list[Taken] = []
