@@ -124,6 +124,7 @@ def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: 
     show_messages()
 
     from termsel.studies import compare as comparing
+    from termsel.studies.maps import next_command
     from termsel.studies.outputs import summary, write_outputs
 
     with study_bar(quiet) as observe:
@@ -138,6 +139,8 @@ def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: 
         sys.exit(INTERRUPTED)
     written = write_outputs(results, out)
     echo(summary(results), nl=False)
+    if results.noun == "image" and (command := next_command(results, out)):
+        echo(command)
     say_written(written)
     # An image that fails stops no other, so that only the exit code shows a script of it.
     if results.failures:

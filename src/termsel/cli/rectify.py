@@ -9,6 +9,7 @@ import click
 from termsel.cli.bars import share_bar
 from termsel.cli.messages import refuse_stdout, say_written, show_messages
 from termsel.cli.options.shared import final_option, progress_option, remote_option
+from termsel.cli.rectify_batch import rectify_batch
 from termsel.core.errors import TermselError
 
 
@@ -16,7 +17,7 @@ from termsel.core.errors import TermselError
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
 @click.argument("image", metavar="IMAGE", type=click.Path(path_type=Path))
 @click.option("--output", "-o", metavar="FILE", required=True, type=click.Path(path_type=Path),
-              help="The map to write, a cloud-optimised GeoTIFF.")
+              help="The map to write, a cloud-optimised GeoTIFF; of a batch the folder of maps.")
 @click.option("--dem", metavar="FILE", type=click.Path(path_type=Path),
               help="Raster of heights; converted if it declares another vertical datum.")
 @click.option("--height", type=float, help="Height of the ground, instead of a raster.")
@@ -37,6 +38,9 @@ from termsel.core.errors import TermselError
               help="Raster of the uncertainty to write, too (termsel-standards).")
 @final_option
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
+@click.option("--doubtful", is_flag=True,
+              help="Of a batch, make maps of doubtful images, too.")
+@click.option("--dry-run", is_flag=True, help="Of a batch, show which maps would be written.")
 @click.option("--quiet", is_flag=True, help="Show no progress bar.")
 @progress_option
 @remote_option
@@ -44,15 +48,19 @@ from termsel.core.errors import TermselError
 def rectify(context: click.Context, folder: Path, image: Path, output: Path, dem: Path | None,
             height: float | None, crs: str | None, resolution: float | None,
             resampling: str | None, nodata: float | None, sigma: Path | None, final: bool | None,
-            overwrite: bool, quiet: bool) -> None:
-    """Resample an image to a map, through the fitted model.
+            overwrite: bool, doubtful: bool, dry_run: bool, quiet: bool) -> None:
+    """Resample an image to a map, or all images of a batch.
 
-    DIR is the folder that a run wrote with --out.
+    DIR is the folder that a run wrote with --out. It may be that of termsel compare: IMAGE is then
+    the folder of the images, which are named like their files of points. Those that are fit for use
+    get a map in the folder --output; a table says why others do not. The exit code is 1 if a map
+    could not be made.
 
     \b
     Examples:
       termsel rectify result scene.tif --dem heights.tif -o map.tif --crs EPSG:32639 --res 1
       termsel rectify result scene.tif --height 250 -o map.tif
+      termsel rectify sheets scans --output maps --dry-run
     """
     if dem is not None and height is not None:
         raise TermselError("--dem and --height exclude each other", hint="Give one of them.")
@@ -63,7 +71,19 @@ def rectify(context: click.Context, folder: Path, image: Path, output: Path, dem
     from termsel.io.rectify import rectify as warp
     from termsel.io.replacing import require_replaceable
     from termsel.io.result_folder import read_result
+    from termsel.studies.maps import is_batch
 
+    if is_batch(folder):
+        if sigma is not None:
+            raise TermselError("--sigma is for one image, and this is a batch", file=folder,
+                               hint="Leave it out, or give the folder of one result.")
+        rectify_batch(folder, image, output, doubtful=doubtful, dry_run=dry_run, quiet=quiet,
+                      dem=dem, height=height, crs=crs, resolution=resolution,
+                      resampling=resampling, nodata=nodata, overwrite=overwrite, final=final)
+        return
+    if doubtful or dry_run:
+        raise TermselError(f"--{'doubtful' if doubtful else 'dry-run'} is for a batch, and this "
+                           "is no folder of termsel compare", file=folder, hint="Leave it out.")
     uncertainty = None
     if sigma is not None:
         refuse_stdout(sigma)

@@ -18,7 +18,7 @@ COMMANDS = {
     "project": ("termsel.cli.project:project",
                 "Compute image positions of ground points, or ground positions of image points."),
     "rectify": ("termsel.cli.rectify:rectify",
-                "Resample an image to a map, through the fitted model."),
+                "Resample an image to a map, or all images of a batch."),
     "plan": ("termsel.cli.plan:plan", "Rank positions at which further control points help most."),
     "list": ("termsel.cli.list:list_", "List available models, solvers, readers and so on."),
     "describe": ("termsel.cli.describe:describe",

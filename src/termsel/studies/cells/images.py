@@ -48,14 +48,14 @@ def _images_of(data: Collection[str]) -> dict[str, str]:
     Where two would have the same name, it is the whole label of the data.
     """
     whole = {label: file_word(label, "image") for label in data}
-    short = {label: file_word(_stem(label), "image") for label in data}
+    short = {label: file_word(stem_of(label), "image") for label in data}
     # Names that differ in capitals alone are one on some disks.
     count = Counter(name.casefold() for name in short.values())
     return {label: short[label] if count[short[label].casefold()] == 1 else whole[label]
             for label in data}
 
 
-def _stem(label: str) -> str:
+def stem_of(label: str) -> str:
     """Return the name of a file of points, or of its part, without folder and suffix."""
     files, _, part_name = label.partition("#")
     # "gcps/a.csv + lines/a.csv#IMG_1" is of the part, or of the first file.

@@ -1,0 +1,97 @@
+"""Maps of all images of a batch, for the command `termsel rectify`."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from termsel.cli.bars import share_bar
+from termsel.cli.messages import echo, say_written
+from termsel.cli.tables import print_table
+from termsel.core.errors import TermselError
+from termsel.core.files.atomic import write_text
+
+if TYPE_CHECKING:
+    from termsel.results.result import Result
+    from termsel.studies.maps import ImageMap
+
+_FAILED = 1
+"""Exit code where a map could not be made; all others are there."""
+_MOST_REASONS = 20
+"""Images whose reasons a terminal shows."""
+
+
+def rectify_batch(folder: Path, pictures: Path, out: Path, *, doubtful: bool, dry_run: bool,
+                  quiet: bool, **options: Any) -> None:
+    """Write a map of every image of a batch whose verdict allows it, and a table of all.
+
+    `options` are those of `termsel.rectify`.
+    """
+    from termsel.data.rasters import require_rasterio
+    from termsel.studies.maps import (
+        FAILED,
+        TABLE,
+        dem_of_batch,
+        needing_heights,
+        plan_maps,
+        table_of_maps,
+    )
+
+    require_rasterio()
+    maps = plan_maps(folder, pictures, out, with_doubtful=doubtful,
+                     overwrite=options["overwrite"])
+    if options["dem"] is None and options["height"] is None and (
+            planned := needing_heights(maps)) is not None:
+        dem = dem_of_batch(folder)
+        raise TermselError(f"the position of {planned.image} on the map depends on the height of "
+                           "the ground", hint="Give --dem FILE or --height H." if dem is None else
+                           f"Give --dem {dem}, as the batch had, or --height H.")
+    if not dry_run:
+        maps = _write(maps, quiet, options)
+    _show(maps)
+    if not dry_run and out.is_dir():
+        write_text(out / TABLE, table_of_maps(maps))
+        say_written([out / TABLE])
+    if any(item.state == FAILED for item in maps):
+        sys.exit(_FAILED)
+
+
+def _write(maps: list[ImageMap], quiet: bool, options: Mapping[str, Any]) -> list[ImageMap]:
+    """Write maps as planned, under one bar; return what came of each."""
+    from termsel.io.rectify import rectify
+    from termsel.studies.maps import PLANNED, write_maps
+
+    total = max(sum(item.state == PLANNED for item in maps), 1)
+    with share_bar("rectify", quiet) as progress:
+        done = 0
+
+        def show(share: float) -> None:
+            """Show the part of all maps that is done."""
+            if progress is not None:
+                progress((done + share) / total)
+
+        def write(result: Result, image: Path, output: Path) -> None:
+            nonlocal done
+            output.parent.mkdir(parents=True, exist_ok=True)
+            rectify(result, image, output, **options, progress=show)
+            done += 1
+
+        return list(write_maps(maps, write))
+
+
+def _show(maps: list[ImageMap]) -> None:
+    """Print what comes of the map of each image, and why some have none."""
+    from termsel.studies.maps import FAILED, KEPT, LEFT_OUT, PLANNED, WRITTEN, count_of_maps
+
+    echo(count_of_maps(maps))
+    rows = [(item.image, item.verdict or "-", item.state,
+             str(item.output) if item.state in (PLANNED, WRITTEN, KEPT) else "") for item in maps]
+    print_table(("image", "verdict", "state", "map"), rows)
+    reasons = [f"{item.image}: {item.why}" for item in maps if item.state in (LEFT_OUT, FAILED)]
+    for reason in reasons[:_MOST_REASONS]:
+        echo(reason)
+    if len(reasons) > _MOST_REASONS:
+        echo(f"{len(reasons) - _MOST_REASONS} more: the table in the folder of the maps has all "
+             "reasons")

@@ -1,0 +1,190 @@
+"""Maps of the images of a batch: which of them are made, where, and why the others are not."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from shlex import quote
+
+from termsel.core.errors import TermselError, counted
+from termsel.core.files.names import JOURNAL, is_there
+from termsel.core.files.texts import csv_table
+from termsel.io.result_folder import RECORD, read_result
+from termsel.results.result import Result
+from termsel.studies.cells.folder import read_study
+from termsel.studies.cells.images import IMAGES, folders_of, stem_of
+from termsel.studies.cells.table import Row
+from termsel.studies.cells.verdicts import DOUBTFUL, FIT, UNFIT
+from termsel.studies.execution.naming import named
+from termsel.studies.study import Study
+
+PLANNED, WRITTEN, KEPT, LEFT_OUT, FAILED = "planned", "written", "kept", "left out", "failed"
+"""What comes of the map of an image; `KEPT` is one that was there before."""
+
+TABLE = "maps.csv"
+"""The table in the folder of the maps: what was written, what not, and why."""
+
+_PICTURES = frozenset((".tif", ".tiff", ".jp2", ".jpg", ".jpeg", ".png", ".img", ".ntf", ".vrt",
+                       ".gif", ".bmp", ".bil"))
+
+
+@dataclass(frozen=True)
+class ImageMap:
+    """The map of one image: the folder of its result, its picture, and what comes of the map."""
+
+    image: str
+    verdict: str
+    folder: Path
+    output: Path
+    state: str = PLANNED
+    why: str = ""
+    picture: Path | None = None
+
+
+def is_batch(folder: Path) -> bool:
+    """Return whether a folder is that of a study, and not that of one result."""
+    return (folder / JOURNAL).exists() and not (folder / RECORD).exists()
+
+
+def plan_maps(folder: Path, pictures: Path, out: Path, *, with_doubtful: bool, overwrite: bool,
+              ) -> list[ImageMap]:
+    """Return what is to be done for each image of a batch, in the order of its files.
+
+    Parameters
+    ----------
+    folder : path
+        Of the batch.
+    pictures : path
+        Folder of the images, each named like its file of points.
+    out : path
+        Folder of the maps.
+    with_doubtful : bool
+        Whether doubtful images get a map, too; those that are unfit never do.
+    overwrite : bool
+        Whether maps that are there are made again.
+
+    Raises
+    ------
+    TermselError
+        If the study has no images, or `pictures` is no folder or that of the maps.
+    """
+    study = read_study(folder)
+    if study.noun != "image":
+        raise TermselError("this is a study of searches, of which no map can be made", file=folder,
+                           hint="Give the folder of one result, or of a batch of images.")
+    if not pictures.is_dir():
+        raise TermselError(f"{folder} is a batch of {counted(len(study.cells), 'image')}, and this "
+                           "is not a folder of images", file=pictures,
+                           hint="Give the folder in which the images are, or one result: "
+                                f"{folder / IMAGES}/NAME.")
+    if out.resolve() == pictures.resolve():
+        raise TermselError("maps would have the names of the images in this folder", file=out,
+                           hint="Give another folder: --output DIR.")
+    rows = {str(row["cell"]): row for row in study.rows}
+    names = folders_of(study.cells)
+    verdicts = (FIT, DOUBTFUL) if with_doubtful else (FIT,)
+    maps = []
+    for key, labels in study.cells.items():
+        row = rows[key]
+        planned = ImageMap(str(labels["data"]), str(row["verdict"]), folder / IMAGES / names[key],
+                           out / f"{names[key]}.tif")
+        maps.append(_left_out(planned, row) if row["verdict"] not in verdicts else
+                    _with_picture(planned, pictures, overwrite))
+    return maps
+
+
+def _left_out(planned: ImageMap, row: Row) -> ImageMap:
+    """Return an image whose verdict allows no map, with the reason."""
+    if not planned.verdict:
+        return replace(planned, state=LEFT_OUT, why="not finished: repeat the command of the batch")
+    return replace(planned, state=LEFT_OUT, why=str(row["why"]))
+
+
+def _with_picture(planned: ImageMap, folder: Path, overwrite: bool) -> ImageMap:
+    """Return an image with its picture in a folder; failed without one, or with several."""
+    if is_there(planned.output) and not overwrite:
+        return replace(planned, state=KEPT, why="it was there; --overwrite makes it again")
+    name = stem_of(planned.image).casefold()
+    # The points of map.jpg may be in map.points or in map.jpg.points.
+    files = sorted(file for file in folder.iterdir() if file.suffix.lower() in _PICTURES
+                   and name in (file.stem.casefold(), file.name.casefold()))
+    if len(files) == 1:
+        return replace(planned, picture=files[0])
+    why = f"{folder} has no image of the name {stem_of(planned.image)}" if not files else \
+        f"{folder} has several of this name: {', '.join(file.name for file in files)}"
+    return replace(planned, state=FAILED, why=why)
+
+
+def needing_heights(maps: Iterable[ImageMap]) -> ImageMap | None:
+    """Return the first planned map whose model needs the heights of the ground; None if none does.
+    """
+    return next((planned for planned in maps if planned.state == PLANNED
+                 and read_result(planned.folder).fit.model.uses_height), None)
+
+
+def dem_of_batch(folder: Path) -> str | None:
+    """Return the raster from which a batch took heights; None without one."""
+    rasters = [source.reading.get("dem") for source in read_study(folder).spec.data]
+    return next((str(raster) for raster in rasters if raster), None)
+
+
+def write_maps(maps: Sequence[ImageMap], write: Callable[[Result, Path, Path], None],
+               ) -> Iterator[ImageMap]:
+    """Yield each image after its map was written; one that fails stops no other.
+
+    `write` takes a result, its picture, and the file of the map.
+    """
+    for planned in maps:
+        if planned.state != PLANNED or planned.picture is None:
+            yield planned
+            continue
+        try:
+            with named(planned.image):
+                write(read_result(planned.folder), planned.picture, planned.output)
+        except TermselError as error:
+            yield replace(planned, state=FAILED, why=str(error))
+        else:
+            yield replace(planned, state=WRITTEN)
+
+
+def table_of_maps(maps: Iterable[ImageMap]) -> str:
+    """Return the table of maps as CSV: image, verdict, state, map, and why there is none."""
+    header = ("image", "verdict", "state", "map", "why")
+    rows = [(item.image, item.verdict, item.state,
+             item.output.name if item.state in (WRITTEN, KEPT) else "", item.why) for item in maps]
+    return csv_table([header, *rows])
+
+
+def count_of_maps(maps: Sequence[ImageMap]) -> str:
+    """Return a clause on how many images there are, and what came of their maps."""
+    states = Counter(item.state for item in maps)
+    counts = [f"{states[state]} {state}" for state in (PLANNED, WRITTEN, KEPT, LEFT_OUT, FAILED)
+              if states[state]]
+    return f"{counted(len(maps), 'image')}: {', '.join(counts)}"
+
+
+def next_command(study: Study, folder: Path) -> str:
+    """Return the next step after a batch as a command: maps, or where to measure more points."""
+    rows = [row for row in study.rows if row["state"] == "done"]
+    names = folders_of(study.cells)
+    fit = [row for row in rows if row["verdict"] == FIT]
+    if fit:
+        first = fit[0]
+        place = Path(str(first["data"]).partition("#")[0].partition(" + ")[0]).parent
+        has_picture = place.is_dir() and _with_picture(
+            ImageMap(str(first["data"]), FIT, folder, Path()), place, overwrite=True).picture
+        words = ["termsel", "rectify", quote(str(folder)),
+                 quote(str(place)) if has_picture else "IMAGES", "--output",
+                 quote(str(folder.with_name(f"{folder.name}-maps")))]
+        if read_result(folder / IMAGES / names[first["cell"]]).fit.model.uses_height:
+            words += ["--dem", quote(dem_of_batch(folder) or "DEM")]
+        return f"Next: {' '.join(words)}   (maps of those fit for use" + (
+            ")" if has_picture else "; IMAGES is their folder)")
+    # Rows begin with the worst.
+    worst = next((row for row in rows if row["verdict"] in (UNFIT, DOUBTFUL)), None)
+    if worst is None:
+        return ""
+    inner = quote(str(folder / IMAGES / names[worst["cell"]]))
+    return f"Next: termsel plan {inner}   (best positions for further points)"
