@@ -45,7 +45,7 @@ class ImageMap:
 
 def is_batch(folder: Path) -> bool:
     """Return whether a folder is that of a study, and not that of one result."""
-    return (folder / JOURNAL).exists() and not (folder / RECORD).exists()
+    return is_there(folder / JOURNAL) and not is_there(folder / RECORD)
 
 
 def plan_maps(folder: Path, pictures: Path, out: Path, *, with_doubtful: bool, overwrite: bool,
