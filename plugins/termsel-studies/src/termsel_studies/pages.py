@@ -110,7 +110,7 @@ def _table_of_instance(groups: Groups, name: str, figures: list[Summary]) -> Tab
     if optimum is not None:
         header += ["optimum reached", "95 % interval", "expected evaluations"]
     if shows_independent:
-        header.append("independent [px]")
+        header.append("ICP RMSE [px]")
     header += ["evaluations", "CPU s"]
     runs_of = groups.instances[name]
     best = min(figures, key=lambda figure: figure.quartiles[2]).method

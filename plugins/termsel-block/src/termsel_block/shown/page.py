@@ -26,7 +26,7 @@ from termsel_block.shown.record import BlockRecord, WrongControl, WrongTie, time
 from termsel_block.shown.summary import facts, read_in, reason_of
 
 # Ties in a picture.
-_SIGMA_COLOURS = ("#2a84c7", "#a0709c", "#d9621a")
+_SIGMA_COLOURS = ("#5aae3c", "#2f8fa0", "#8a5cc9")
 """Colours of dots from a small to a large uncertainty, seen on light and dark pages."""
 _DRAWN_TIES = 3000
 # Images in the picture of their RMSE.
