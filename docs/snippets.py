@@ -33,6 +33,7 @@ from pathlib import Path
 ANYTHING = "..."
 _FENCE = re.compile(r"^```([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _OUTPUT = re.compile(r"\n\n```text\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+_FAILURE = re.compile(r"Error: |images failed\.")
 _NOT_RUN = re.compile(r"<!-- (not run|tests|generated: package)[^>]*-->\s*$")
 _INSTALLS = re.compile(r".*\bpip install [^&|;]*(&& |$)")
 _DOWNLOAD = re.compile(r"\{download\}`[^`<]*<([^`>]+)>`")
@@ -125,7 +126,7 @@ class Session:
         if change:
             code = change[1] or ""
         printed, status = self._done(code, step.python) if code.strip() else ("", 0)
-        if status and "Error: " not in (step.shown or ""):
+        if status and not _FAILURE.search(step.shown or ""):
             raise RuntimeError(f"{step.code}\nends with {status}:\n{printed}")
         if change:
             self.folder = self.folder / change[2]

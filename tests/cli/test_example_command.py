@@ -13,6 +13,7 @@ import pytest
 import termsel
 from termsel.io.example import EXAMPLE_FILES, README
 from termsel.simulate.example import EXAMPLE_NOISE, SENSOR, VENDOR
+from termsel.simulate.sheets import GRID
 
 pytest.importorskip("rasterio")
 pytest.importorskip("pyproj")
@@ -58,6 +59,17 @@ def test_matches_of_three_programs_are_the_same(files: Path) -> None:
     for one in (asp, arosics):
         assert one.image == pytest.approx(ours.image, abs=2e-3)
         assert one.ground[:, :2] == pytest.approx(ours.ground[:, :2], abs=0.02)
+
+
+def test_points_of_a_sheet_are_at_crossings_of_its_grid_in_the_scan(files: Path) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    points = termsel.read(files / "maps" / "sheet-1.points").points
+    with rasterio.open(files / "maps" / "sheet-1.tif") as scan:
+        pixels = scan.read(1)
+    assert np.all(points.ground[:, :2] % GRID == 0)
+    for line, sample in points.image.round().astype(int):
+        around = pixels[max(line - 2, 0):line + 3, max(sample - 2, 0):sample + 3]
+        assert around.min() == 60  # a printed line
 
 
 def test_folder_that_exists_is_left_alone(files: Path, tmp_path: Path,

@@ -15,7 +15,7 @@ def example(folder: Path) -> None:
     """Write the files of the tutorial and of the how-to guides.
 
     DIR is a new folder. It gets images, control points and lines, heights, an RPC, matches and a
-    batch of five images. All are simulated. README.txt says what each file is.
+    batch of five images and one of four maps. All are simulated. README.txt says what each file is.
 
     \b
     Examples:

@@ -29,6 +29,7 @@ from termsel.simulate.example import (
 )
 from termsel.simulate.kept import kept_features, kept_text
 from termsel.simulate.scenes import scene_truth
+from termsel.simulate.sheets import GRID, SHEET_CRS, SHEETS, sheet_and_points
 
 README = "README.txt"
 
@@ -52,6 +53,7 @@ EXAMPLE_FILES = {
     "roads.csv": "their image coordinates",
     "areas.csv": "six fields of that scene",
     "images": "points of five images; one has a blunder",
+    "maps": "scans of four sheets of a map, and their points as QGIS saves them",
     "study.toml": "a study of three solvers",
 }
 """What each file is, by its name."""
@@ -81,6 +83,7 @@ def write_example(folder: Path) -> None:
         _places(new)
         _control_features(new)
         _batch(new / "images")
+        _sheets(new / "maps")
         (new / "study.toml").write_text(_STUDY, encoding="utf-8")
         width = max(map(len, EXAMPLE_FILES))
         lines = [f"{name:{width}}  {description}\n" for name, description in EXAMPLE_FILES.items()]
@@ -105,18 +108,22 @@ def _scene(folder: Path) -> Points:
 
 def _other_forms(folder: Path, points: Points, on_map: FloatArray) -> None:
     """Write the control without a header, and as QGIS saves it."""
-    from pyproj import CRS as Known
-
     rows = zip(points.ids, points.ground.tolist(), points.image.tolist(), strict=True)
     _write_rows(folder / "noheader.txt", [
         (name, x, y, z, sample, line) for name, (x, y, z), (line, sample) in rows][:40])
+    _write_qgis_points(folder / "scene.points", on_map[:60, :2], points.image[:60], MAP_CRS)
+
+
+def _write_qgis_points(path: Path, ground: FloatArray, image: FloatArray, crs: str) -> None:
+    """Write points as QGIS saves them, from ground (x, y) and image (line, sample)."""
+    from pyproj import CRS as Known
+
     # Of QGIS: px from the corner of the first pixel, to the right and upwards.
-    _write_rows(folder / "scene.points", [
+    _write_rows(path, [
         (f"{x:.3f}", f"{y:.3f}", f"{sample + 0.5:.3f}", f"{-line - 0.5:.3f}", 1, 0, 0, 0)
         # Half a pixel from the centre to the corner, and lines upwards.
-        for (x, y, _), (line, sample) in zip(
-            on_map.tolist(), points.image.tolist(), strict=True)][:60],
-        f"#CRS: {Known(MAP_CRS).to_wkt()}",
+        for (x, y), (line, sample) in zip(ground.tolist(), image.tolist(), strict=True)],
+        f"#CRS: {Known(crs).to_wkt()}",
         "mapX,mapY,sourceX,sourceY,enable,dX,dY,residual")
 
 
@@ -212,6 +219,20 @@ def _batch(folder: Path) -> None:
             # The blunder that the how-to guide of batches finds.
             image[4] += (-40.0, 25.0)
         write_points_csv(Points(points.ids, image, points.ground), folder / f"image-{i}.csv", CRS)
+
+
+def _sheets(folder: Path) -> None:
+    """Write the scans and points of four sheets, two of them with an error of the typist."""
+    folder.mkdir()
+    for sheet in range(SHEETS):
+        scan, ground, image = sheet_and_points(sheet)
+        (folder / f"sheet-{sheet + 1}.tif").write_bytes(tiff_bytes(scan[None], compress="deflate"))
+        # The tutorial for archivists finds both: x and y swapped, and a neighbouring crossing.
+        if sheet == 1:
+            ground = ground[:, ::-1]
+        if sheet == 3:
+            ground[5, 0] += GRID
+        _write_qgis_points(folder / f"sheet-{sheet + 1}.points", ground, image, SHEET_CRS)
 
 
 def _middles(west: float, north: float, step: float, shape: tuple[int, int]) -> FloatArray:
