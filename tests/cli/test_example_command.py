@@ -13,7 +13,7 @@ import pytest
 import termsel
 from termsel.io.example import EXAMPLE_FILES, README
 from termsel.simulate.example import EXAMPLE_NOISE, SENSOR, VENDOR
-from termsel.simulate.sheets import GRID
+from termsel.simulate.sheets import GRID_SPACING
 
 pytest.importorskip("rasterio")
 pytest.importorskip("pyproj")
@@ -66,7 +66,7 @@ def test_points_of_a_sheet_are_at_crossings_of_its_grid_in_the_scan(files: Path)
     points = termsel.read(files / "maps" / "sheet-1.points").points
     with rasterio.open(files / "maps" / "sheet-1.tif") as scan:
         pixels = scan.read(1)
-    assert np.all(points.ground[:, :2] % GRID == 0)
+    assert np.all(points.ground[:, :2] % GRID_SPACING == 0)
     for line, sample in points.image.round().astype(int):
         around = pixels[max(line - 2, 0):line + 3, max(sample - 2, 0):sample + 3]
         assert around.min() == 60  # a printed line

@@ -29,7 +29,7 @@ from termsel.simulate.example import (
 )
 from termsel.simulate.kept import kept_features, kept_text
 from termsel.simulate.scenes import scene_truth
-from termsel.simulate.sheets import GRID, SHEET_CRS, SHEETS, sheet_and_points
+from termsel.simulate.sheets import GRID_SPACING, SHEET_CRS, SHEETS, sheet_and_points
 
 README = "README.txt"
 
@@ -231,7 +231,7 @@ def _sheets(folder: Path) -> None:
         if sheet == 1:
             ground = ground[:, ::-1]
         if sheet == 3:
-            ground[5, 0] += GRID
+            ground[5, 0] += GRID_SPACING
         _write_qgis_points(folder / f"sheet-{sheet + 1}.points", ground, image, SHEET_CRS)
 
 

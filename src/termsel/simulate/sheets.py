@@ -8,15 +8,15 @@ from termsel.data.features import FloatArray
 
 SHEETS = 4
 SHEET_CRS = "EPSG:32639"
-GRID = 100.0  # m between the lines of the printed grid
+GRID_SPACING = 100.0  # m between the lines of the printed grid
 FRAME = 1000.0, 800.0  # m, width and height of a sheet
 SHEET_SIZE = (460, 560)  # px, lines and samples
 _PIXEL = 2.0  # m
-_MARGIN = 30.0  # px from the corner of the scan to the frame
+_PAPER_MARGIN = 30.0  # px from the corner of the scan to the frame
 _WEST, _NORTH = 270_000.0, 3_854_000.0
 _TURNS = (0.4, -1.1, 0.8, -0.3)  # degrees
 _WARP = 1.2  # px by which the paper is out of shape
-_POINTS = 15
+_CROSSINGS = 15
 _SHEET_NOISE = 0.5  # px
 
 
@@ -32,8 +32,8 @@ def _on_map(sheet: int, image: FloatArray) -> FloatArray:
     phase = 2.0 * np.pi * (image / np.array(SHEET_SIZE) + 0.3 * sheet)
     line, sample = (image + _WARP * np.sin(phase[:, ::-1])).T
     turn = np.radians(_TURNS[sheet])
-    right = _PIXEL * (sample - _MARGIN)
-    down = _PIXEL * (line - _MARGIN)
+    right = _PIXEL * (sample - _PAPER_MARGIN)
+    down = _PIXEL * (line - _PAPER_MARGIN)
     west, north = _corner(sheet)
     return np.column_stack([west + right * np.cos(turn) + down * np.sin(turn),
                             north + right * np.sin(turn) - down * np.cos(turn)])
@@ -42,7 +42,7 @@ def _on_map(sheet: int, image: FloatArray) -> FloatArray:
 def _in_scan(sheet: int, ground: FloatArray) -> FloatArray:
     """Return the pixels of map positions: the inverse of `_on_map`, by iteration."""
     corner = np.array(_corner(sheet))
-    image = np.column_stack([corner[1] - ground[:, 1], ground[:, 0] - corner[0]]) / _PIXEL + _MARGIN
+    image = np.column_stack([corner[1] - ground[:, 1], ground[:, 0] - corner[0]]) / _PIXEL + _PAPER_MARGIN
     # Turn and warp are small, so that each step leaves a few per cent of the error.
     for _ in range(12):
         missing = ground - _on_map(sheet, image)
@@ -64,16 +64,16 @@ def sheet_and_points(sheet: int) -> tuple[np.ndarray, FloatArray, FloatArray]:
     west, north = _corner(sheet)
     right, down = ((_on_map(sheet, pixels) - (west, north)) * (1.0, -1.0)).T
     inside = (right >= 0) & (right <= FRAME[0]) & (down >= 0) & (down <= FRAME[1])
-    fields = (np.floor(right / GRID) + np.floor(down / GRID)) % 2
-    to_grid = np.minimum(np.abs(right - GRID * np.round(right / GRID)),
-                         np.abs(down - GRID * np.round(down / GRID)))
+    fields = (np.floor(right / GRID_SPACING) + np.floor(down / GRID_SPACING)) % 2
+    to_grid = np.minimum(np.abs(right - GRID_SPACING * np.round(right / GRID_SPACING)),
+                         np.abs(down - GRID_SPACING * np.round(down / GRID_SPACING)))
     shades = np.where(to_grid < _PIXEL, 60, np.where(fields, 205, 225))
     scan = np.where(inside, shades, 240).reshape(SHEET_SIZE).astype(np.uint8)
 
     rng = np.random.default_rng(sheet)
-    crossings = np.stack(np.meshgrid(np.arange(0, FRAME[0] + 1, GRID),
-                                     np.arange(0, FRAME[1] + 1, GRID)), axis=-1).reshape(-1, 2)
-    chosen = crossings[rng.permutation(len(crossings))[:_POINTS]]
+    crossings = np.stack(np.meshgrid(np.arange(0, FRAME[0] + 1, GRID_SPACING),
+                                     np.arange(0, FRAME[1] + 1, GRID_SPACING)), axis=-1).reshape(-1, 2)
+    chosen = crossings[rng.permutation(len(crossings))[:_CROSSINGS]]
     ground = np.array((west, north)) + chosen * (1.0, -1.0)
     image = _in_scan(sheet, ground) + rng.normal(0.0, _SHEET_NOISE, ground.shape)
     return scan, ground, image.round(3)
