@@ -42,7 +42,8 @@ def _on_map(sheet: int, image: FloatArray) -> FloatArray:
 def _in_scan(sheet: int, ground: FloatArray) -> FloatArray:
     """Return the pixels of map positions: the inverse of `_on_map`, by iteration."""
     corner = np.array(_corner(sheet))
-    image = np.column_stack([corner[1] - ground[:, 1], ground[:, 0] - corner[0]]) / _PIXEL + _PAPER_MARGIN
+    offsets = np.column_stack([corner[1] - ground[:, 1], ground[:, 0] - corner[0]])
+    image = offsets / _PIXEL + _PAPER_MARGIN
     # Turn and warp are small, so that each step leaves a few per cent of the error.
     for _ in range(12):
         missing = ground - _on_map(sheet, image)
@@ -71,8 +72,9 @@ def sheet_and_points(sheet: int) -> tuple[np.ndarray, FloatArray, FloatArray]:
     scan = np.where(inside, shades, 240).reshape(SHEET_SIZE).astype(np.uint8)
 
     rng = np.random.default_rng(sheet)
-    crossings = np.stack(np.meshgrid(np.arange(0, FRAME[0] + 1, GRID_SPACING),
-                                     np.arange(0, FRAME[1] + 1, GRID_SPACING)), axis=-1).reshape(-1, 2)
+    columns = np.arange(0, FRAME[0] + 1, GRID_SPACING)
+    rows = np.arange(0, FRAME[1] + 1, GRID_SPACING)
+    crossings = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
     chosen = crossings[rng.permutation(len(crossings))[:_CROSSINGS]]
     ground = np.array((west, north)) + chosen * (1.0, -1.0)
     image = _in_scan(sheet, ground) + rng.normal(0.0, _SHEET_NOISE, ground.shape)
