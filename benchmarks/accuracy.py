@@ -261,8 +261,9 @@ def against_papers(study: termsel.Study) -> str:
 
 
 CONSTANTS = (
-    *((posterior, name) for name in ("SIZES", "TYPICAL", "FALLS", "RELIEFS", "SPREAD", "DRAWS")),
-    *((rule, name) for name in ("BETTER", "CLEARLY")))
+    *((posterior, name) for name in ("PRIOR_SIZES", "TYPICAL_SIZE", "FALLS", "RELIEFS",
+                                     "DRAW_DEVIATION", "N_DRAWS")),
+    *((rule, name) for name in ("PRIOR_MARGIN", "CLEAR_MARGIN")))
 
 
 def sensitivity(wanted: list[str], splits: int) -> str:

@@ -258,10 +258,11 @@ def _quantile(values: list[float]) -> str:
     return f"{np.quantile(values, 0.99):.2f} ± {np.quantile(drawn, 0.99, axis=1).std():.2f}"
 
 
-CONSTANTS = {"UNLIKELY": (contradictions, blunders), "STRAIN": (contradictions, blunders),
-             "ALLOWANCE": (contradictions,), "LOOK": (contradictions,), "MOST": (blunders,),
-             "STEP": (blunders,), "CLEAR": (blunders,), "LEAST": (blunders,),
-             "BLUNDER_SIZES": (field,), "FIELD_VARIANCE_FACTOR": (field,)}
+CONSTANTS = {"FALSE_ALARM": (contradictions, blunders), "MIN_STRAIN": (contradictions, blunders),
+             "STRAIN_PER_SPREAD": (contradictions,), "LOOK_STRAIN": (contradictions,),
+             "MAX_MINORITY": (blunders,), "STEP_SHARE": (blunders,), "CLEAR_RATIO": (blunders,),
+             "MIN_PROBABLE_POINTS": (blunders,), "BLUNDER_SIZES": (field,),
+             "FIELD_VARIANCE_FACTOR": (field,)}
 """By name, the modules that know it."""
 
 

@@ -171,8 +171,9 @@ def verdict(found: list[Row]) -> str:
         f"above it: {worse} |"])
 
 
-CONSTANTS = ("LENGTHS", "RATIOS", "FALLS", "RELIEF", "KNOTS", "JITTER")
-ODDS = ((field, "FIELD"), (field, "ALIKE"), (shrunken, "LIKELY"))
+CONSTANTS = ("FIELD_LENGTHS", "FIELD_RATIOS", "FIELD_FALLS", "FIELD_RELIEF", "FIELD_KNOTS",
+             "COVARIANCE_JITTER")
+ODDS = ((shrunken, "FIELD_CALLED_FOR"), (shrunken, "FIELD_EXCLUDED"))
 
 
 def sensitivity(splits: int) -> str:
@@ -202,11 +203,11 @@ def sensitivity(splits: int) -> str:
             if (module, name) in ODDS:
                 odds = factor * value / (1 - value)
                 new: Any = odds / (1 + odds)
-            elif name == "KNOTS":
+            elif name == "FIELD_KNOTS":
                 new = int(factor * value)
             else:
                 new = np.asarray(value) * factor
-                new = tuple(map(tuple, new.tolist())) if name == "LENGTHS" else new
+                new = tuple(map(tuple, new.tolist())) if name == "FIELD_LENGTHS" else new
             setattr(module, name, new)
             changed.append(ratio())
         setattr(module, name, value)
