@@ -166,6 +166,21 @@ def call(*words: object) -> Result:
     return invoke(*words)
 
 
+@pytest.mark.skipif(not WITH_GDAL, reason="requires gdaltransform")
+def test_gcps_hide_an_rpc_that_gdal_takes_by_its_option(example_files: Path,
+                                                        tmp_path: Path) -> None:
+    points = termsel.simulate_scene("spot-isfahan").points
+    gcps = [rasterio.control.GroundControlPoint(line, sample, *ground) for (line, sample), ground
+            in zip(points.image.tolist(), points.ground.tolist(), strict=True)]
+    path = raster(tmp_path / "both.tif", gcps=gcps[:8], crs="EPSG:4326", size=(6000, 6000))
+    rpc = termsel.read_rpc(example_files / "vendor.RPB")
+    termsel.write_rpc(rpc, tmp_path / "both.RPB")
+    taken = {row.program: row.transformation for row in compared(path)[0]}
+    [by_default] = [program for program in taken if program.startswith("GDAL")]
+    assert "GCPs" in taken[by_default]
+    assert taken["  with -rpc"] == "RPC at the height 0"
+
+
 @pytest.mark.slow
 def test_the_command_warns_and_prints_json(result: termsel.Result, tmp_path: Path) -> None:
     (tmp_path / "r").mkdir()

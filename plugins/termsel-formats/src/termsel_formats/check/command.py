@@ -109,8 +109,8 @@ def _warn(deviation: Deviation) -> None:
     if not deviation.by_default:
         return
     if worst is None:
-        echo(f"Warning: {deviation.program.strip()} takes "
-             f"{deviation.said or deviation.transformation}.")
+        echo(f"Warning: {deviation.program.strip()}: no distance from the model is known "
+             f"({deviation.said or deviation.transformation}).")
         return
     if worst.largest > WARNING_PX:
         metres = "" if worst.metres is None else f" ({worst.metres:,.3g} m)"

@@ -38,6 +38,8 @@ class Header:
     geotransform : tuple of float or None
     height : float or None
         The height offset of its RPC [m].
+    with_rpc : bool
+        Whether it has an RPC, which GDAL takes by the option ``-rpc`` where `kind` is another.
     """
 
     version: str
@@ -46,6 +48,7 @@ class Header:
     kind: str
     geotransform: tuple[float, ...] | None
     height: float | None = None
+    with_rpc: bool = False
 
 
 def header(path: Path) -> Header | None:
@@ -82,7 +85,7 @@ def header(path: Path) -> Header | None:
     geotransform = description.get("geoTransform")
     height = _number(metadata.get("RPC", {}).get("HEIGHT_OFF", "")) if kind == "rpc" else None
     return Header(version, (lines, samples), crs, kind,
-                  tuple(geotransform) if geotransform else None, height)
+                  tuple(geotransform) if geotransform else None, height, "RPC" in metadata)
 
 
 def transformed(path: Path, *options: str) -> Places:
@@ -149,6 +152,11 @@ def taken(path: Path, raster_header: Header) -> Iterator[Taken]:
                     raster_header.crs, default)
         for words, (options, by_option) in with_options.items():
             yield Taken(f"  with {' '.join(options)}", words, raster_header.crs, by_option, False)
+    if raster_header.with_rpc and raster_header.kind != "rpc":
+        by_rpc = transformed(path, "-rpc")
+        yield Taken("  with -rpc", "RPC at the height 0", WGS84, level(by_rpc), False)
+        yield Taken("  with -rpc -to RPC_DEM", "RPC at the heights of the ground", WGS84, by_rpc,
+                    False)
 
 
 def _possible_by_gcps(path: Path, raster_header: Header,

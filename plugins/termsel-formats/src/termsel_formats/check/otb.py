@@ -57,7 +57,7 @@ def taken(path: Path, raster_header: Header) -> Taken | None:
     else:
         return Taken(name, "RPC at the height 0", WGS84, places)
     if np.allclose(origin, 0.5) and np.allclose(np.abs(spacing), 1.0):
-        return Taken(name, "none reported by its applications")
+        return Taken(name, "not reported by its applications")
     if raster_header.geotransform and any(raster_header.geotransform[i] for i in (2, 4)):
         return Taken(name, "affine transformation, whose rotation it does not state")
     return Taken(name, "origin and spacing", raster_header.crs,
