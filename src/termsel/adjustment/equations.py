@@ -164,24 +164,6 @@ def _approximate_image(features: FeatureSet, heights: bool) -> FloatArray:
     return np.asarray(on_lines @ x.T)
 
 
-def relative_deviations(features: FeatureSet) -> FloatArray:
-    """Return the standard deviations of points, then of lines, relative to the median one, (n, 2).
-
-    They are of line and sample, of lines across them; 1 if none is given.
-    """
-    points = features.points
-    lines = features.lines
-    deviations = [sigma.ravel() for sigma in (points.sigma, lines.sigma) if sigma is not None]
-    deviation = np.ones((len(points) + len(lines), 2))
-    if deviations:
-        unit = np.median(np.concatenate(deviations))
-        if points.sigma is not None:
-            deviation[:len(points)] = points.sigma / unit
-        if lines.sigma is not None:
-            deviation[len(points):] = lines.sigma[:, None] / unit
-    return deviation
-
-
 def row_weights(features: FeatureSet, *, heights: bool = True) -> FloatArray:
     """Return weights of the rows of points, then of lines, two each.
 
@@ -213,7 +195,15 @@ def row_weights(features: FeatureSet, *, heights: bool = True) -> FloatArray:
     """
     points = features.points
     lines = features.lines
-    deviation = relative_deviations(features)
+    # Of line and sample of a point, and of a line across it, relative to the median of all.
+    deviations = [sigma.ravel() for sigma in (points.sigma, lines.sigma) if sigma is not None]
+    deviation = np.ones((len(points) + len(lines), 2))
+    if deviations:
+        unit = np.median(np.concatenate(deviations))
+        if points.sigma is not None:
+            deviation[:len(points)] = points.sigma / unit
+        if lines.sigma is not None:
+            deviation[len(points):] = lines.sigma[:, None] / unit
     if len(lines):
         direction = lines.image[:, 1] - lines.image[:, 0]
         length = np.linalg.norm(direction, axis=1)[:, None]

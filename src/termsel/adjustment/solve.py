@@ -89,8 +89,13 @@ def solve(
     # not of the units.
     lengths = np.linalg.norm(A, axis=0)
     scaled = A / np.where(lengths > 0, lengths, 1.0)
-    triangle = _triangle(scaled, b)
-    # A column is dependent by the rule of the kernels, even if by pivoting none is.
+    # R and Q'b, (n, n + 1), where each column keeps more than TOLERANCE of its length orthogonal
+    # to those before it. By this rule of the kernels a column may depend where by pivoting none does.
+    triangle = None
+    if 0 < n_terms <= len(A):
+        upper = np.asarray(np.linalg.qr(np.column_stack([scaled, b]), mode="r"))[:n_terms]
+        if (np.abs(np.diag(upper)) > TOLERANCE).all():
+            triangle = upper
     rank = n_terms if triangle is not None else _lower_rank(scaled)
     coefficients = np.zeros(k)
     deviations = np.zeros(k)
@@ -120,19 +125,6 @@ def solve(
     return Adjustment(coefficients=coefficients, deviations=deviations, n_terms=n_terms,
                       n_equations=n_equations, rank=rank, condition=condition, sigma0=sigma0,
                       correlations=correlations)
-
-
-def _triangle(scaled: FloatArray, b: FloatArray) -> FloatArray | None:
-    """Return R and Q'b of columns of one length, shape (n, n + 1); None without full rank.
-
-    By the rule of the compiled kernels: each column keeps more than TOLERANCE of its length
-    orthogonal to those before it.
-    """
-    m, n = scaled.shape
-    if not n or m < n:
-        return None
-    r = np.asarray(np.linalg.qr(np.column_stack([scaled, b]), mode="r"))[:n]
-    return r if (np.abs(np.diag(r)) > TOLERANCE).all() else None
 
 
 def _lower_rank(scaled: FloatArray) -> int:

@@ -95,9 +95,11 @@ class Scaling:
         return unchecked(points, image=self.image(points.image), ground=self.ground(points.ground),
                          sigma=None if points.sigma is None else points.sigma / self.image_scale)
 
+    @lru_cache(maxsize=8)  # noqa: B019 - a scaling is a value: many models are fitted to one control
     def features(self, features: FeatureSet) -> FeatureSet:
-        """Return the features in scaled coordinates."""
-        return _scaled(self, features)
+        """Return the features in scaled coordinates; cached."""
+        return replace(features, points=self.points(features.points),
+                       lines=self.points(features.lines))
 
     def numbers(self) -> ScalingNumbers:
         """Return the scaling as the record of a run holds it."""
@@ -118,13 +120,6 @@ class Scaling:
                    image_offset=(numbers.line_offset, numbers.sample_offset),
                    image_scale=numbers.line_scale, crs=numbers.crs, fit_crs=numbers.fit_crs,
                    x_turn=numbers.x_turn)
-
-
-@lru_cache(maxsize=8)
-def _scaled(scaling: Scaling, features: FeatureSet) -> FeatureSet:
-    """Return scaled features; cached, as many models are fitted to the same control."""
-    return replace(features, points=scaling.points(features.points),
-                   lines=scaling.points(features.lines))
 
 
 def in_fit_crs(ground: FloatArray, crs: str, fit_crs: str) -> FloatArray:

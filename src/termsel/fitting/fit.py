@@ -317,7 +317,8 @@ class Fit(Glance):
     @property
     def coefficients(self) -> dict[str, float]:
         """Coefficients of the terms in use by name, in scaled coordinates."""
-        return self._values_by_term(self.adjustment.coefficients)
+        values = self.adjustment.coefficients
+        return {str(self.model.terms[i]): float(values[i]) for i in np.flatnonzero(self.terms)}
 
     @property
     def standard_deviations(self) -> dict[str, float]:
@@ -325,9 +326,7 @@ class Fit(Glance):
 
         NaN without redundancy and for coefficients that are not those of least squares.
         """
-        return self._values_by_term(self.adjustment.deviations)
-
-    def _values_by_term(self, values: FloatArray) -> dict[str, float]:
+        values = self.adjustment.deviations
         return {str(self.model.terms[i]): float(values[i]) for i in np.flatnonzero(self.terms)}
 
     def with_coefficients(self, coefficients: FloatArray, estimator: Estimator = FIXED_COEFFICIENTS,

@@ -122,8 +122,22 @@ def adjust(model: SensorModel, features: FeatureSet, terms: BoolArray,
     Steps begin at the model's own start, else at the solution of its equations. A step that does
     not lessen the sum of squared distances is halved, and where that does not help the search ends.
     """
-    adjustment, x, equations = _first_solution(model, features, terms, used)
-    if equations is None:
+    # The solution where steps begin, x (k,), and the equations about it; None where those solved
+    # are exact already.
+    equations: Equations | None
+    start = model.start(features.take(used))
+    if start is not None:
+        x = np.where(terms, start, 0.0)
+        equations = _linearised_equations(model, features, x)
+        adjustment = replace(solve(equations, terms, used), coefficients=x)
+    else:
+        adjustment = solve(model.equations(features), terms, used)
+        x = adjustment.coefficients
+        # Some terms are better found last: steps then begin with the solution of the others.
+        if model.first_terms is not None:
+            x = solve(model.equations(features), terms & model.first_terms, used).coefficients
+        equations = model.linearised(features, x) if adjustment.feasible else None
+    if equations is None or not adjustment.feasible:
         return adjustment
 
     def residuals_of(equations: Equations, coefficients: FloatArray) -> FloatArray:
@@ -165,27 +179,6 @@ def adjust(model: SensorModel, features: FeatureSet, terms: BoolArray,
         adjustment = replace(candidate_adjustment, coefficients=x)
         steps += 1
     return replace(adjustment, steps=steps, converged=converged)
-
-
-def _first_solution(model: SensorModel, features: FeatureSet, terms: BoolArray,
-                    used: BoolArray) -> tuple[Adjustment, FloatArray, Equations | None]:
-    """Return an adjustment, where Gauss-Newton steps begin, (k,), and the equations there.
-
-    The equations are None where there is nothing to iterate: they are exact, or do not determine
-    the terms.
-    """
-    start = model.start(features.take(used))
-    if start is not None:
-        x = np.where(terms, start, 0.0)
-        equations = _linearised_equations(model, features, x)
-        adjustment = replace(solve(equations, terms, used), coefficients=x)
-        return adjustment, x, equations if adjustment.feasible else None
-    adjustment = solve(model.equations(features), terms, used)
-    x = adjustment.coefficients
-    # Some terms are better found last: steps then begin with the solution of the others.
-    if model.first_terms is not None:
-        x = solve(model.equations(features), terms & model.first_terms, used).coefficients
-    return adjustment, x, model.linearised(features, x) if adjustment.feasible else None
 
 
 def _linearised_equations(model: SensorModel, features: FeatureSet,

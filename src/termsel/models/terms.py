@@ -56,7 +56,14 @@ class Term:
         if self.axis not in AXES:
             raise ValueError(f"axis {self.axis!r} of a term is not one of {', '.join(AXES)}")
         if isinstance(self.exponents, str):
-            object.__setattr__(self, "exponents", _exponents(self.exponents))
+            label = self.exponents
+            powers = _MONOMIAL.fullmatch(label)
+            # "1" is the monomial whose powers are all 0; any other label without powers stays.
+            if label == "1":
+                object.__setattr__(self, "exponents", (0, 0, 0))
+            elif label and powers is not None:
+                object.__setattr__(self, "exponents", tuple(
+                    int(power[1:] or 1) if power else 0 for power in powers.groups()))
         elif len(self.exponents) != 3 or min(self.exponents) < 0:
             raise ValueError(f"exponents {self.exponents} of a term are not three numbers >= 0")
 
@@ -121,15 +128,3 @@ def _parse_term(text: str) -> Term:
     assert match is not None  # the pattern takes any text
     axis, kind, column = match.groups()
     return Term(axis or "both", _PARTS.get(kind, kind or ""), column)
-
-
-def _exponents(label: str) -> Exponent | str:
-    """Return the exponents of X, Y, Z that a label spells, or the label."""
-    match = _MONOMIAL.fullmatch(label)
-    # The constant is the monomial whose powers are all 0.
-    if label == "1":
-        return (0, 0, 0)
-    if not label or match is None:
-        return label
-    x, y, z = (int(power[1:] or 1) if power else 0 for power in match.groups())
-    return (x, y, z)

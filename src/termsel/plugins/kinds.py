@@ -11,9 +11,10 @@ import inspect
 import re
 from dataclasses import dataclass
 from importlib import import_module
+from itertools import chain
 from typing import Any
 
-from termsel.core.isolation.faults import is_own
+from termsel.core.isolation.faults import OWN, package_of
 from termsel.core.options import Configurable, Option
 
 _NAME = re.compile(r"[^\s:]+")
@@ -76,28 +77,23 @@ class Kind:
         if not isinstance(name, str) or not _NAME.fullmatch(name):
             raise TypeError(f"returned {cls.__name__} with the name {name!r}; a name is text "
                             "without blanks and colons")
-        if classes and (fault := _attribute_fault(cls)):
-            raise TypeError(f"returned {cls.__name__} with {fault}")
-
-
-def _attribute_fault(cls: type) -> str | None:
-    """Return which attribute of a class has another type than termsel declares; None if none has.
-    """
-    for base in cls.__mro__:
-        for name, usual in vars(base).items() if is_own(base) else ():
-            # Compared with the type of the default where termsel declares the attribute.
-            value = getattr(cls, name)
+        if not classes:
+            return
+        # Attributes are compared with the types of their defaults, where termsel declares them.
+        declaring = [base for base in cls.__mro__ if package_of(base) == OWN]
+        for attribute, usual in chain.from_iterable(vars(base).items() for base in declaring):
+            value = getattr(cls, attribute)
             kind = next((kind for kind in _PLAIN if isinstance(usual, kind)), None)
-            if name.startswith("_") or kind is None or isinstance(value, property):
+            if attribute.startswith("_") or kind is None or isinstance(value, property):
                 continue
-            accepted = (list, tuple) if kind is tuple else kind
-            if not isinstance(value, accepted):
-                return f"{name} = {value!r:.100}, which is no {kind.__name__}"
-    for name, expected in (("declared_options", Option), ("segments", type)):
-        for element in getattr(cls, name, ()):
-            if not isinstance(element, expected):
-                return f"{name} that hold {element!r:.100}, which is no {expected.__name__}"
-    return None
+            if not isinstance(value, (list, tuple) if kind is tuple else kind):
+                raise TypeError(f"returned {cls.__name__} with {attribute} = {value!r:.100}, "
+                                f"which is no {kind.__name__}")
+        for attribute, expected_type in (("declared_options", Option), ("segments", type)):
+            for element in getattr(cls, attribute, ()):
+                if not isinstance(element, expected_type):
+                    raise TypeError(f"returned {cls.__name__} with {attribute} that hold "
+                                    f"{element!r:.100}, which is no {expected_type.__name__}")
 
 
 _PLAIN = (bool, int, str, tuple, dict)

@@ -135,8 +135,9 @@ class Registry:
             return self.get(kind, value)
         try:
             # A class or an object: either is checked as what a hook returns.
-            required = KINDS[kind]
-            (required.require_returned if isinstance(value, type) else required.require_of)(value)
+            KINDS[kind].require_of(value)
+            if KINDS[kind].must_start and isinstance(value, type):
+                value()
         except TypeError as error:
             why = str(error).removeprefix("returned ")  # as is said of what a hook returns
             raise TermselError(f"{value!r} is no {KINDS[kind].word}: {why}",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, cast
+from typing import Any
 
 from termsel.core.errors import TermselError, unknown_name
 from termsel.core.isolation.faults import blamed
@@ -66,25 +66,26 @@ def fit(features: Any, model: str | type[SensorModel] | SensorModel | Method = "
     True
     """
     features = features_of(features, crs, columns)
-    # A model comes before a method of the same name: it has options.
+    resolved: Any = model
     if isinstance(model, str):
         names = registry()
-        if (model_type := names.known("models", model)) is not None:
-            return _fit_by_model(cast(type[SensorModel], model_type)(**options), features)
-        method: Method | None = names.known("methods", model)
-        if method is None:
+        # A model comes before a method of the same name: it has options.
+        resolved = names.known("models", model) or names.known("methods", model)
+        if resolved is None:
             raise unknown_name("model", model, {*names.names("models"), *names.names("methods")},
                                names.hint(model, "models", "methods"))
-        _refuse(options, f"method {model!r}")
-        return _fit_by_method(method, features)
-    if isinstance(model, Method):
-        _refuse(options, f"method {model.name!r}")
-        return _fit_by_method(model, features)
-    resolved = registry().taken("models", model)
+    elif not isinstance(model, Method):
+        resolved = registry().taken("models", model)
+    if isinstance(resolved, Method):
+        _refuse(options, f"method {resolved.name!r}")
+        return _fit_by_method(resolved, features)
     if isinstance(resolved, SensorModel):
         _refuse(options, f"model {resolved.name!r}, which has its options already,")
-        return _fit_by_model(resolved, features)
-    return _fit_by_model(cast(type[SensorModel], resolved)(**options), features)
+    else:
+        resolved = resolved(**options)
+    control = control_of(_with_heights(features) if resolved.uses_height else features)
+    require_heights(resolved, control)
+    return fit_all_terms(resolved, control)
 
 
 @one_blas_thread
@@ -97,12 +98,6 @@ def _fit_by_method(method: Method, features: FeatureSet) -> Fit:
         if reason is not None:
             raise TermselError(reason, hint="Choose another method, such as regularised-cubic.")
         return replace(method.fit(data), method=method)
-
-
-def _fit_by_model(model: SensorModel, features: FeatureSet) -> Fit:
-    control = control_of(_with_heights(features) if model.uses_height else features)
-    require_heights(model, control)
-    return fit_all_terms(model, control)
 
 
 def _with_heights(features: FeatureSet) -> FeatureSet:

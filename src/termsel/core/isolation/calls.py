@@ -80,17 +80,12 @@ def _guards(cls: type) -> dict[str, Check | None]:
     return guards
 
 
-def _needs_no_guard(plugin_object: Any) -> bool:
-    """Return whether a call needs no guard: from the same package, or from a conformance suite."""
-    return _off.get() or inside() == package_of(type(plugin_object))
-
-
 def _guard_of(name: str, function: Callable[..., Any], check: Check | None) -> Callable[..., Any]:
     """Return the guard of a method or of a property's function."""
     @wraps(function)
     def call(self: Any, *args: Any, **options: Any) -> Any:
-        # Who fails is told by the outermost call alone.
-        if _needs_no_guard(self):
+        # A call from the same package needs no guard: who fails is told by the outermost alone.
+        if _off.get() or inside() == package_of(type(self)):
             return function(self, *args, **options)
         with blamed(self, name):
             value = function(self, *args, **options)
@@ -113,7 +108,8 @@ def _guard_of_iterator(name: str, function: Callable[..., Any],
     """Return the guard of a method that returns an iterator, each step of which is guarded."""
     @wraps(function)
     def call(self: Any, *args: Any, **options: Any) -> Any:
-        return (function if _needs_no_guard(self) else steps)(self, *args, **options)
+        needs_no_guard = _off.get() or inside() == package_of(type(self))
+        return (function if needs_no_guard else steps)(self, *args, **options)
 
     def steps(self: Any, *args: Any, **options: Any) -> Iterator[Any]:
         """Yield the values of a plugin's generator, each checked; its errors become PluginFaults.

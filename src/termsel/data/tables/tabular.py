@@ -402,8 +402,18 @@ class Tabular(Glance, Framed):
     def take(self, index: ArrayLike) -> Self:
         """Return the rows at `index` (integers or a mask)."""
         rows = rows_of(self.ids, index)
-        return unchecked(self,
-                         **{name: _rows_at(value, rows) for name, value in _given_fields(self)})
+        row_numbers = rows.tolist()
+        fields_at_rows: dict[str, Any] = {}
+        for name in _given_fields(type(self)):
+            value = getattr(self, name)
+            if isinstance(value, tuple):
+                value = tuple(map(value.__getitem__, row_numbers))
+            elif isinstance(value, Mapping):
+                value = rows_at(value, rows)
+            elif value is not None:
+                value = value[rows]
+            fields_at_rows[name] = value
+        return unchecked(self, **fields_at_rows)
 
     def join(self, further: Self) -> Self:
         """Return the rows of both; unknown standard deviations are the median of the known."""
@@ -431,8 +441,9 @@ class Tabular(Glance, Framed):
             np.full((len(table), *sigmas[0].shape[1:]), np.median(sigmas[0]))
             if table.sigma is None else table.sigma
             for table in (self, further)]) if sigmas else None
-        texts = {name: value + getattr(further, name) for name, value in _given_fields(self)
-                 if isinstance(value, tuple)}  # ids and roles
+        texts = {name: getattr(self, name) + getattr(further, name)
+                 for name in _given_fields(type(self))
+                 if isinstance(getattr(self, name), tuple)}  # ids and roles
         return {
             "image": np.concatenate([self.image, further.image]),
             "ground": np.concatenate([self.ground, further.ground]), "sigma": sigma,
@@ -440,22 +451,10 @@ class Tabular(Glance, Framed):
             **texts}
 
 
-def _given_fields(table: Any) -> list[tuple[str, Any]]:
-    """Return the fields of points or lines; all else that they keep is derived."""
-    return [(name, getattr(table, name)) for name in _names(table.__class__)]
-
-
 @cache
-def _names(kind: type) -> tuple[str, ...]:
+def _given_fields(kind: type) -> tuple[str, ...]:
+    """Return the names of the fields of points or lines; all else that they keep is derived."""
     return tuple(column.name for column in fields(kind))
-
-
-def _rows_at(value: Any, rows: NDArray[np.intp]) -> Any:
-    """Return some rows of a tuple, an array or attributes; None of None."""
-    if isinstance(value, tuple):  # of a thousand points names are asked for many times
-        return tuple(map(value.__getitem__, rows.tolist()))
-    return rows_at(value, rows) if isinstance(value, Mapping) else \
-        None if value is None else value[rows]
 
 
 def rows_of(ids: Sequence[str], index: ArrayLike) -> NDArray[np.intp]:
@@ -478,8 +477,8 @@ def unchecked(table: _Table, **changes: Any) -> _Table:
     # What was checked once holds for a part of them, and in other units. Fits make so many of these
     # that the checks took a quarter of their time.
     changed = object.__new__(type(table))
-    for name, value in _given_fields(table):
-        value = changes.get(name, value)
+    for name in _given_fields(type(table)):
+        value = changes[name] if name in changes else getattr(table, name)
         if isinstance(value, np.ndarray):
             value.setflags(write=False)
         object.__setattr__(changed, name, value)
