@@ -90,7 +90,7 @@ def solve(
     lengths = np.linalg.norm(A, axis=0)
     scaled = A / np.where(lengths > 0, lengths, 1.0)
     # R and Q'b, (n, n + 1), where each column keeps more than TOLERANCE of its length orthogonal
-    # to those before it. By this rule of the kernels a column may depend where by pivoting none does.
+    # to those before it. By this rule of the kernels a column may depend where pivoting has none.
     triangle = None
     if 0 < n_terms <= len(A):
         upper = np.asarray(np.linalg.qr(np.column_stack([scaled, b]), mode="r"))[:n_terms]

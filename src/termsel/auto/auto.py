@@ -179,7 +179,10 @@ class Auto(Method):
 
     def offered(self, data: FitData, *, for_few: bool = False) -> list[Method]:
         """Return the methods to choose from for some features, the plainest first."""
-        count = self._count(data)
+        # Those are counted that these are a part of; points where there are no lines, as a line has
+        # equations of its own kind.
+        all_features = self.all_features or data.features
+        count = len(all_features) if len(data.features.lines) else len(all_features.points)
         sizes: dict[Method, Any] = {}
         for method in self.methods:
             # One that is asked for is fitted whatever its place among others would be.
@@ -191,12 +194,6 @@ class Auto(Method):
         # Again, as what was asked just now may have failed.
         sound = [method for method in sizes if method.name not in self.faults]
         return sorted(sound, key=lambda method: sizes[method])
-
-    def _count(self, data: FitData) -> int:
-        """Return how many features there are, of all that these are a part of."""
-        all_features = self.all_features or data.features
-        # Points are counted where there are no lines, as a line has equations of its own kind.
-        return len(all_features) if len(data.features.lines) else len(all_features.points)
 
     def suspects(self, data: FitData) -> Suspects | None:
         """Return the features that contradict the first method that knows of any; None without."""
@@ -259,8 +256,12 @@ class Auto(Method):
         """
         candidates = self.offered(data)
         # A method may say that nothing else is possible, as of a file that names its sensor.
-        if (settled := self._choice_settled_by_features(candidates, data)) is not None:
-            return settled
+        # The first method that the features support alone is the choice.
+        for method in candidates:
+            reason = self._settles(method, data)
+            settled = self.validated(method, data) if reason else None
+            if settled is not None:
+                return Choice(settled, (settled,), str(reason))
         fits: dict[str, Fit] = {}
         # What contains others comes first where these need not be fitted then.
         # In folds, where the whole comparison is not needed, the largest come first.
@@ -287,17 +288,6 @@ class Auto(Method):
     def is_one_method(self) -> bool:
         """Whether only one method is offered, so that nothing is chosen."""
         return len(self.methods) == 1
-
-    def _choice_settled_by_features(self, candidates: Iterable[Method],
-                                    data: FitData) -> Choice | None:
-        """Return the choice of the first method that the features support alone; None if none is.
-        """
-        for method in candidates:
-            reason = self._settles(method, data)
-            fitted = self.validated(method, data) if reason else None
-            if fitted is not None:
-                return Choice(fitted, (fitted,), str(reason))
-        return None
 
     def _settles(self, method: Method, data: FitData) -> str | None:
         """Return why the features support a method alone; None if they do not, or the method fails.

@@ -119,7 +119,14 @@ def _suspects_of(control: FitData, auto: Auto) -> Suspects | None:
     retained = used
     # With few points a probable blunder may be half of what there is.
     if len(control) >= MIN_PROBABLE_POINTS and not len(control.features.lines):
-        retained = _leave_out_probable_blunders(control, used, max_share)
+        # Features that are likelier blunders than right are left out, the likeliest first, and the
+        # others are judged again: without the worst, the next may look innocent.
+        retained = used.copy()
+        while (~retained).sum() < int(max_share * len(control)):
+            worst = Division(control, retained.copy()).likeliest_blunder()
+            if worst is None:
+                break
+            retained[worst] = False
     if (retained != used).any():
         test = Division(control, retained).test() or test
     by_projection = None if by_majority else _judge_by_projection(control, auto, retained)
@@ -266,21 +273,6 @@ def _is_parametric(fitted: Fit) -> bool:
                 or isinstance(fitted.interpolation, GaussianProcess))
 
 
-def _leave_out_probable_blunders(control: FitData, used: BoolArray, max_share: float) -> BoolArray:
-    """Return the points in use, (n,), without those that are likelier blunders than right.
-
-    The likeliest is left out first, and the others are judged again, up to `max_share` of all.
-    """
-    retained = used.copy()
-    while (~retained).sum() < int(max_share * len(control)):
-        # One at a time: without the worst, the next may look innocent.
-        worst = Division(control, retained.copy()).likeliest_blunder()
-        if worst is None:
-            break
-        retained[worst] = False
-    return retained
-
-
 def _features_predicted_by(chosen: Fit, features: FeatureSet) -> BoolArray:
     """Return which features, (n,), a fit predicts as well as those that it was made with.
 
@@ -296,20 +288,15 @@ def _features_predicted_by(chosen: Fit, features: FeatureSet) -> BoolArray:
     if _is_parametric(chosen):
         # The test was of another model than the chosen one.
         bound = max(bound, CLEAR_RATIO * np.sqrt(squares.max()))
-    return np.asarray(_largest_errors(chosen, features) <= bound)
-
-
-def _largest_errors(fitted: Fit, features: FeatureSet) -> FloatArray:
-    """Return the largest error of each feature in line or sample, or off its line [px], (n,)."""
-    largest = np.zeros(len(features))
-    # A blunder is mostly one of line or of sample alone.
-    rows = np.abs(fitted.errors(features.points)).max(axis=1)
+    # The largest error of each feature: a blunder is mostly one of line or of sample alone.
+    rows = np.abs(chosen.errors(features.points)).max(axis=1)
     if len(features.lines):
         # From each vertex straight to the computed line.
-        vectors = fitted.line_errors(features.lines)
+        vectors = chosen.line_errors(features.lines)
         rows = np.concatenate([rows, np.linalg.norm(vectors, axis=2).max(axis=1)])
+    largest = np.zeros(len(features))
     np.maximum.at(largest, features.feature, rows)
-    return largest
+    return np.asarray(largest <= bound)
 
 
 def judge_others(chosen: Fit, heights: bool, other_points: Points,
@@ -431,8 +418,12 @@ def _readmit_predicted(control: FitData, used: BoolArray, test: Test, test_of_al
         earlier_sets.add(used.tobytes())
         still_out = ~used & test.far(n) & test.decided()
         if not used.all():
-            # The closest features understate the noise.
-            strain = test.strain * np.sqrt(_mean_square_of_closest(used.sum() / n))
+            # The closest features, a share p of all, understate the noise. Their errors r have
+            # r^2 below b: X = r^2 / 2 s^2 is exponential, so that E[X given X < b] = 1 - b (1 - p)
+            # / p with b = -log(1 - p).
+            p = used.sum() / n
+            bound = -np.log1p(-p)
+            strain = test.strain * np.sqrt(1.0 - bound * (1.0 - p) / p)
             chance = chance_of(strain**2, max(2 * int(used.sum()) - 8, 2))
             still_out &= (chance < FALSE_ALARM / n) & (strain > MIN_STRAIN)
         admissible = np.flatnonzero(~used & ~still_out)
@@ -477,15 +468,3 @@ def _judge_by_field(control: FitData, used: BoolArray, test: Test,
                                  >= np.max(test.strain, where=used & far, initial=0.0) / 2)
         used = (used & ~excluded) | (~used & ~far)
     return used, test
-
-
-def _mean_square_of_closest(share: float) -> float:
-    """Return E[r^2 given r^2 < b] / E[r^2], where the given share of r^2 lies below b.
-
-    r is the length of a normal error in two coordinates.
-    """
-    if share >= 1:
-        return 1.0
-    # X = r^2 / 2 sigma^2 is exponential: E[X given X < b] = 1 - b (1 - p) / p, b = -log(1 - p).
-    bound = -np.log1p(-share)
-    return float(1.0 - bound * (1.0 - share) / share)

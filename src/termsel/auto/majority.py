@@ -124,8 +124,14 @@ def majority(control: FitData) -> BoolArray | None:
         agreeing = _majority_over_blunders(columns, scaled, half)
         if agreeing is not None:
             return agreeing
-    if n < MIN_CUBIC_POINTS or not _halves_contradict(designs[-1], scaled.image, halves[-1][0],
-                                                      sampled):
+    if n < MIN_CUBIC_POINTS:
+        return None
+    # Do all sampled points have far more noise together than their closest half has?
+    columns = designs[-1][sampled]
+    image = scaled.image[sampled]
+    noise_of_half, _ = _noise_and_strains(columns, image, halves[-1][0])
+    noise_of_all, _ = _noise_and_strains(columns, image, np.ones(len(sampled), dtype=bool))
+    if noise_of_all <= NOISE_OF_CONTRADICTION * noise_of_half:
         return None
     return _regularised_majority(control, sampled,
                                  [half for of_design in halves for half in of_design[:STARTS]])
@@ -143,15 +149,6 @@ def _majority_over_blunders(design: FloatArray, scaled: Points,
         return None
     errors = _residuals(design, scaled.image, agreeing)[minority]
     return None if _may_be_bend(scaled.ground, agreeing, errors) else agreeing
-
-
-def _halves_contradict(design: FloatArray, image: FloatArray, closest: BoolArray,
-                       sampled: IntArray) -> bool:
-    """Return whether sampled points have far more noise together than their closest half has."""
-    columns = design[sampled]
-    noise_of_half, _ = _noise_and_strains(columns, image[sampled], closest)
-    noise_of_all, _ = _noise_and_strains(columns, image[sampled], np.ones(len(sampled), dtype=bool))
-    return noise_of_all > NOISE_OF_CONTRADICTION * noise_of_half
 
 
 def _regularised_majority(control: FitData, sampled: IntArray,

@@ -190,7 +190,9 @@ class RidgeByOrder(Estimator):
         plain = LeastSquares(iterated=False).fit(model, control, scaling, terms, used)
         coefficients = np.zeros(len(terms))
         trace = 0.0
-        weights = np.array([_weight_of_term(name) for name in model.terms])
+        # The order of a term; of a numerator less 1, as affine terms are not shrunk.
+        weights = np.array([float(term.order if term.is_denominator else max(term.order - 1, 0))
+                            for term in map(Term.parse, model.terms)])
         for system in independent_parts(plain.model.equations(plain.scaled_control), model.axis):
             rows = used[system.equations.feature]
             selected = terms & system.columns
@@ -199,12 +201,6 @@ class RidgeByOrder(Estimator):
                                                        weights[selected])
             trace += effective
         return plain.with_coefficients(coefficients, self, trace)
-
-
-def _weight_of_term(name: str) -> float:
-    """Return the weight of a term by its name, such as "line.den:X2Y"."""
-    term = Term.parse(name)
-    return float(term.order if term.is_denominator else max(term.order - 1, 0))
 
 
 def _ridge(columns: FloatArray, target: FloatArray,

@@ -19,7 +19,7 @@ from termsel.data.coordinates.metres import height_unit, plan_of
 from termsel.data.coordinates.places import Lattice, lattice_of
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray, Points
 from termsel.data.scaling import Scaling, in_fit_crs, metres_of, scaling_of
-from termsel.data.view import CentralView, view_of
+from termsel.data.view import view_of
 
 FLAT = 1e-8
 """Scaled distance from a plane up to which heights are taken to lie on it: rounding."""
@@ -251,7 +251,7 @@ def _effects_of_height(control: FitData, scaled: FloatArray) -> FloatArray:
 
     In an oblique view it is larger the nearer a place is to the camera.
     """
-    view = _view(control)
+    view = view_of(control.scaled.points)
     effect = _effect_of_height(control)
     if view is None or not np.isfinite(effect):
         return np.full(len(scaled), effect)
@@ -260,10 +260,6 @@ def _effects_of_height(control: FitData, scaled: FloatArray) -> FloatArray:
     assert metres is not None
     across = view.magnification(scaled) * control.scaling.image_scale / metres[:2]
     return np.asarray(PARALLAX * metres[2] * across.max(axis=1))
-
-
-def _view(control: FitData) -> CentralView | None:
-    return view_of(control.scaled.points)
 
 
 def _effect_of_height(control: FitData) -> float:

@@ -434,17 +434,14 @@ def in_order(features: FeatureSet) -> FeatureSet:
 
 def _order(names: Sequence[str]) -> list[int]:
     """Return the rows of names in their order; the pieces of one line keep theirs."""
-    return sorted(range(len(names)), key=lambda row: _natural_sort_key(names[row]))
-
-
-def _natural_sort_key(name: str) -> tuple[list[tuple[int, str]], str]:
-    """Return a sort key by which numbers in a name count by their value: A2 is before A10.
-
-    Names that differ have different keys.
-    """
-    # Of two numbers without leading zeros the longer one is larger, however long they are.
-    pieces = [piece.lstrip("0") if i % 2 else piece for i, piece in enumerate(_NUMBER.split(name))]
-    return [(len(piece) if i % 2 else 0, piece) for i, piece in enumerate(pieces)], name
+    keys = []
+    for name in names:
+        # Numbers count by their value. Of two without leading zeros the longer one is larger.
+        pieces = [piece.lstrip("0") if i % 2 else piece
+                  for i, piece in enumerate(_NUMBER.split(name))]
+        # Names that differ have different keys, by the name itself at the end.
+        keys.append(([(len(piece) if i % 2 else 0, piece) for i, piece in enumerate(pieces)], name))
+    return sorted(range(len(keys)), key=keys.__getitem__)
 
 
 def by_roles(features: FeatureSet) -> Observations:

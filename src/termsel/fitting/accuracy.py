@@ -217,8 +217,11 @@ def _errors_with_all_points(fitted: Fit, errors: FloatArray) -> FloatArray:
     That holds where noise is all that the model leaves. What a polynomial does not fit of a view,
     as of a camera that turns while it scans, is no noise: its held-out errors stand.
     """
-    if not _is_projection(fitted) or len(fitted.control.lines) \
-            or len(errors) != fitted.used.sum():
+    if fitted.view is None or len(fitted.control.lines) or len(errors) != fitted.used.sum():
+        return errors
+    # A projection is a quotient by the distance from a camera whose view the points show.
+    ground = fitted.scaled_control.ground_vertices()
+    if fitted.model.denominators(fitted.adjustment.coefficients, ground) is None:
         return errors
     points = fitted.scaled_control.points.take(fitted.used)
     spread = fitted.estimator.spread(fitted, points.ground)
@@ -226,14 +229,6 @@ def _errors_with_all_points(fitted: Fit, errors: FloatArray) -> FloatArray:
     if not np.isfinite(leverage).all():
         return errors
     return np.asarray(errors * np.sqrt(1.0 - np.minimum(leverage, MAX_LEVERAGE)**2))
-
-
-def _is_projection(fitted: Fit) -> bool:
-    """Return whether a fit is a quotient by the distance from a camera whose view points show."""
-    if fitted.view is None:
-        return False
-    ground = fitted.scaled_control.ground_vertices()
-    return fitted.model.denominators(fitted.adjustment.coefficients, ground) is not None
 
 
 def _predicted_with_experience(fitted: Fit, errors: FloatArray, points: int,
@@ -357,20 +352,16 @@ def accuracy_of(fitted: Fit, independent: Points) -> Accuracy | None:
     errors = fitted.errors(independent)
     if not np.isfinite(errors).all():
         return None
-    metres = _ground_errors(fitted, independent)
-    ground = None if metres is None else distances(OnGround, metres)
+    # Computed minus given ground positions, (n, 2), where they are all known in metres.
+    heights = independent.ground[:, 2]
+    if not fitted.model.uses_height:
+        heights = np.nan_to_num(heights)
+    offsets = (fitted.locate(independent.image, heights) - independent.ground)[:, :2]
+    metres = in_metres(fitted.control.crs, independent.ground, offsets)
+    ground = None if metres is None or not np.isfinite(metres).all() \
+        else distances(OnGround, metres)
     return Accuracy(distances(InImage, errors), ground, nssda(len(independent), ground),
                     asprs(len(independent), ground))
-
-
-def _ground_errors(fitted: Fit, points: Points) -> FloatArray | None:
-    """Return computed minus given ground positions [m], (n, 2); None where they are not all known.
-    """
-    heights = np.nan_to_num(points.ground[:, 2]) if not fitted.model.uses_height \
-        else points.ground[:, 2]
-    offsets = (fitted.locate(points.image, heights) - points.ground)[:, :2]
-    metres = in_metres(fitted.control.crs, points.ground, offsets)
-    return None if metres is None or not np.isfinite(metres).all() else metres
 
 
 def nssda(points: int, ground: OnGround | None) -> StandardFigure:

@@ -10,7 +10,7 @@ from typing import Any, Self
 import numpy as np
 
 from termsel.data.coordinates.crs import LOCAL
-from termsel.data.features import FeatureSet, FloatArray, IntArray, Lines, Points, select
+from termsel.data.features import FeatureSet, FloatArray, Points, select
 from termsel.data.record.figures import Rmse
 from termsel.data.tables.tabular import Framed
 
@@ -121,7 +121,12 @@ def _control_rows(control: FeatureSet, used: tuple[bool, ...], errors: FloatArra
     lines = control.lines
     yield from _residual_rows(points.ids, errors, points.ground, "control", used[:len(points)])
     # First all first pieces of lines, then all second ones: a line of two pieces has 4 vertices.
-    piece_numbers = _piece_numbers(lines)
+    # Pieces of a line follow in any order, between those of others.
+    count_by_id: Counter[str] = Counter()
+    piece_numbers = np.empty(len(lines), dtype=np.intp)
+    for i, name in enumerate(lines.ids):
+        piece_numbers[i] = count_by_id[name]
+        count_by_id[name] += 1
     for number in range(piece_numbers.max(initial=-1) + 1):
         of_number = piece_numbers == number
         # Features are numbered points first, then lines.
@@ -137,17 +142,6 @@ def _residual_rows(ids: tuple[str, ...], errors: FloatArray, ground: FloatArray,
                    used: Iterable[bool], kind: str = "point") -> Iterator[Residual]:
     for name, on, error, position in zip(ids, used, errors.tolist(), ground.tolist(), strict=True):
         yield Residual(name, kind, role, on, *error, *position)
-
-
-def _piece_numbers(lines: Lines) -> IntArray:
-    """Return which piece of its feature each line is, counted from 0, (m,)."""
-    # Pieces of a line follow in any order, between those of others.
-    count_by_id: Counter[str] = Counter()
-    numbers = np.empty(len(lines), dtype=np.intp)
-    for i, name in enumerate(lines.ids):
-        numbers[i] = count_by_id[name]
-        count_by_id[name] += 1
-    return numbers
 
 
 def rmse_of(errors: FloatArray, n: int) -> Rmse | None:

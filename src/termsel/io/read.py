@@ -305,18 +305,17 @@ def readers_of(paths: Sequence[Path], formats: Sequence[str]) -> list[type[Reade
         entry.object for entry in built_in().entries("readers")]
     names = {reader.name for reader in built_in_readers}
     # Looking for plugins takes longer than reading a table: most files need none.
-    if names.issuperset(formats) and all(
-            _is_recognised(path, built_in_readers) for path in dict.fromkeys(paths)):
+    are_recognised = names.issuperset(formats)
+    for path in dict.fromkeys(paths):
+        if not are_recognised:
+            break
+        are_recognised = is_there(path) and path.is_file()
+        if are_recognised:
+            head = read_head(path, EXPECTED)
+            are_recognised = any(reader().sniff(path, head) for reader in built_in_readers)
+    if are_recognised:
         return built_in_readers
     return [entry.object for entry in registry().entries("readers")]
-
-
-def _is_recognised(path: Path, readers: Iterable[type[Reader]]) -> bool:
-    """Return whether a file exists and one of the readers recognises it."""
-    if not is_there(path) or not path.is_file():
-        return False
-    head = read_head(path, EXPECTED)
-    return any(reader().sniff(path, head) for reader in readers)
 
 
 def _read_frame(frame: Any, crs: str | None, options: Mapping[str, Any],
@@ -347,7 +346,11 @@ def find_reader(path: Path, readers: Iterable[type[Reader]], format: str | None 
     it declares. Raises TermselError if there is no such reader, an option does not accept its
     value, the file is missing, empty, a folder or not readable, or no reader recognises it.
     """
-    usable = [_with_options(reader, options or {}) for reader in readers]
+    usable = []
+    for reader_class in readers:
+        declared = {option.name for option in reader_class.declared_options}
+        usable.append(reader_class(**{name: value for name, value in (options or {}).items()
+                                      if name in declared}))
     named = [reader for reader in usable if reader.name == format]
     if format is not None and not named:
         raise unknown_name("file format", format, [reader.name for reader in usable])
@@ -449,10 +452,6 @@ def _greedy(reader: Reader, path: Path) -> bool:
     return True
 
 
-def _with_options(reader: type[Reader], values: Mapping[str, Any]) -> Reader:
-    return reader(**{o.name: values[o.name] for o in reader.declared_options if o.name in values})
-
-
 def read_features(points: Path | None, lines: Path | None, *, areas: Path | None = None,
                   crs: str | None, readers: Iterable[type[Reader]], formats: Sequence[str] = (),
                   options: Mapping[str, Any] | None = None, either: bool = False,
@@ -550,9 +549,13 @@ def _features_of_files(points: Path | None, lines: Path | None, *, areas: Path |
             if formats and error.what.startswith("there is no column"):
                 error.hint = f"{error.hint} Without --format the content tells the format."
             raise
-    if origin is not None:
-        sets = {path: _count_from_origin(path, features, reader_of[path], origin)
-                for path, features in sets.items()}
+    # Counted from the centre of the upper-left pixel from here on.
+    for path, reader in reader_of.items() if origin is not None else ():
+        try:
+            sets[path] = origin(sets[path], states_own=reader.states_origin,
+                                default=reader.default_origin)
+        except TermselError as error:
+            raise located(error, path) from error
     for path, features in sets.items():
         _say_misspelt(path, features)
         if reader_of[path].areas or path == areas:
@@ -589,15 +592,6 @@ def _say_doubts(features: FeatureSet) -> None:
     say_turned(features)
     if mixed := note_on_mixed(features):
         log.warning("Warning: %s", mixed)
-
-
-def _count_from_origin(path: Path, features: FeatureSet, reader: Reader,
-                       origin: Origin) -> FeatureSet:
-    """Return the features of a file, counted from the centre of the upper-left pixel."""
-    try:
-        return origin(features, states_own=reader.states_origin, default=reader.default_origin)
-    except TermselError as error:
-        raise located(error, path) from error
 
 
 def _say_misspelt(path: Path, features: FeatureSet) -> None:

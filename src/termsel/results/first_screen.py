@@ -64,14 +64,21 @@ def first_screen(record: Record) -> list[Fact]:
     facts = _facts(record, brief=0)
     # Facts become shorter step by step, until they fit.
     for brief in (1, 2):
-        if _total_height(facts) > room:
+        if sum(map(_height, facts)) > room:
             facts = _facts(record, brief)
-    return [*facts, *_cautions(warnings, SCREEN_LINES - 1 - _total_height(facts))]
+    return [*facts, *_cautions(warnings, SCREEN_LINES - 1 - sum(map(_height, facts)))]
 
 
 def _facts(record: Record, brief: int) -> list[Fact]:
     """Return all facts but cautions: briefly (1) without second lines, or (2) counting outliers."""
-    compared = list(_comparison_facts(record))
+    compared: list[str] = []
+    if record.feasible:
+        # The best rival that needs no search, and the conventional fit.
+        rival = next((row for row in record.baselines if row.name == record.reference), None)
+        if rival is not None:
+            compared += _against(record, rival)
+        if record.strategy is None and record.baselines:
+            compared += _conventional(record, record.baselines[0])
     search = list(_facts_on_search(record))
     # The first line of a topic says it, further ones explain.
     if brief:
@@ -81,10 +88,6 @@ def _facts(record: Record, brief: int) -> list[Fact]:
     return [*_facts_on_data(record, brief), Fact(""), Fact(_model(record), "Model"),
             *_label_facts("Accuracy", accuracy_lines(record)), *_label_facts("Outliers", outliers),
             *_label_facts("Compared", compared), *_label_facts("Search", search)]
-
-
-def _total_height(facts: Sequence[Fact]) -> int:
-    return sum(map(_height, facts))
 
 
 def _label_facts(label: str, lines: Iterable[str]) -> Iterator[Fact]:
@@ -125,9 +128,14 @@ def _facts_on_data(record: Record, brief: int) -> Iterator[Fact]:
     yield Fact(f"{opening}{hint}{end}" if len(f"{opening}{hint}{end}") <= _FULL_WIDTH
                else f"{opening}{end}")
     yield Fact(roles_of(record))
-    unused = _count_unused(read)
-    if unused and not brief:
-        yield Fact(unused)
+    reasons = [f"{len(ids)} {reason}" for reason, ids in read.left_out.items()]
+    if not reasons or brief:
+        return
+    # Reasons with their counts, if they fit into a line.
+    unused = f"not used: {'; '.join(reasons)}"
+    if len(unused) > _WIDTH:
+        unused = f"not used: {counted(sum(map(len, read.left_out.values())), 'feature')}"
+    yield Fact(unused)
 
 
 def roles_of(record: Record) -> str:
@@ -145,16 +153,6 @@ def roles_of(record: Record) -> str:
 
 def _number(number: int, noun: str) -> str:
     return counted(number, noun) if number else f"no {noun}s"
-
-
-def _count_unused(read: WhatWasRead) -> str:
-    """Return how many features take no part, and why; "" if all do."""
-    reasons = [f"{len(ids)} {reason}" for reason, ids in read.left_out.items()]
-    # Reasons with their counts, as long as they fit into a line.
-    text = f"not used: {'; '.join(reasons)}"
-    if len(text) > _WIDTH:
-        text = f"not used: {counted(sum(map(len, read.left_out.values())), 'feature')}"
-    return text if reasons else ""
 
 
 def _read_by_earlier_versions(record: Record) -> WhatWasRead:
@@ -270,7 +268,7 @@ def _counted_outliers(record: Record) -> list[str]:
     rejected, used, independent = _group_outliers(record)
     named = outlier_lines(record)
     # Where the names take one line, a count saves none.
-    height = _total_height(list(_label_facts("Outliers", named)))
+    height = sum(map(_height, _label_facts("Outliers", named)))
     if height == 1 or not any((rejected, used, independent)):
         return named
     counts = []
@@ -348,25 +346,33 @@ def _list_worst(outliers: Sequence[Outlier]) -> str:
     return ", ".join(texts)
 
 
-def _comparison_facts(record: Record) -> Iterator[str]:
-    """Yield the best rival that needs no search, and the conventional fit."""
-    if not record.feasible:
-        return
-    rival = next((row for row in record.baselines if row.name == record.reference), None)
-    if rival is not None:
-        yield from _against(record, rival)
-    if record.strategy is None and record.baselines:
-        yield from _conventional(record, record.baselines[0])
-
-
 def _against(record: Record, rival: BaselineRow) -> Iterator[str]:
     """Yield how a rival compares, at the independent check points or else in cross-validation."""
-    own_rmse, rival_rmse = _comparable(record, rival)
+    strategy = record.strategy
+    by_held_out = strategy is not None and not _points_compare_better(record)
+    if strategy is not None and by_held_out:
+        # Of both the model alone: the prediction of the whole choice is larger than either.
+        own_rmse = next((row.predicted for row in strategy.candidates
+                         if row.name == strategy.chosen), None)
+        rival_rmse = rival.predicted
+    else:
+        accuracy = record.accuracy_without or record.accuracy
+        own_rmse = record.rmse.independent.total if accuracy is None else accuracy.image.total
+        rival_rmse = rival.rmse.independent.total
     if own_rmse is None or rival_rmse is None:
         return
-    name = "automatic choice without a search" if record.strategy is None else label_of(rival.name)
-    verdict = _verdict(record, own_rmse, rival_rmse)
-    if record.strategy is not None and not _points_compare_better(record):
+    name = "automatic choice without a search" if strategy is None else label_of(rival.name)
+    if strategy is not None:
+        verdict = verdict_on_choice(own_rmse, rival_rmse, record.reference,
+                                    len(strategy.candidates))
+    elif are_alike(own_rmse, rival_rmse):
+        verdict = "the search gains nothing"
+    elif rival_rmse > own_rmse:
+        verdict = f"the search is better by {100 * (1 - own_rmse / rival_rmse):.0f} %"
+    else:
+        verdict = "better; leave out --model" if record.solver == "all-terms" \
+            else "better; leave out the search"
+    if by_held_out:
         # Each figure once: that of this model may be the prediction above, and both may be alike.
         shown = "" if record.predicted is None else rounded(record.predicted.rmse)
         own = "" if rounded(own_rmse) in (shown, rounded(rival_rmse)) else \
@@ -388,41 +394,12 @@ def _rmse_as_delivered(record: Record) -> Iterator[str]:
             yield f"RPC as delivered: {rounded(size)} px"
 
 
-def _comparable(record: Record, rival: BaselineRow) -> tuple[float | None, float | None]:
-    """Return the RMSE [px] of this fit and of a rival, in figures that can be compared.
-
-    Each is None if it is not known.
-    """
-    # What both fits predict for features left out, or what both have at points that none has seen.
-    strategy = record.strategy
-    if strategy and not _points_compare_better(record):
-        # Of both the model alone: the prediction of the whole choice is larger than either.
-        return next((row.predicted for row in strategy.candidates
-                     if row.name == strategy.chosen), None), rival.predicted
-    accuracy = record.accuracy_without or record.accuracy
-    return (record.rmse.independent.total if accuracy is None else accuracy.image.total,
-            rival.rmse.independent.total)
-
-
 def _points_compare_better(record: Record) -> bool:
     """Return whether independent check points compare models more surely than cross-validation."""
     # Points that contradict all others say nothing of either model.
     accuracy = record.accuracy_without or record.accuracy
     return accuracy is not None and (
         record.predicted is None or accuracy.image.n >= MANY_INDEPENDENT)
-
-
-def _verdict(record: Record, own_rmse: float, rival_rmse: float) -> str:
-    """Return a few words on the ratio of the RMSE of this fit and of a rival [px]."""
-    if record.strategy:
-        return verdict_on_choice(own_rmse, rival_rmse, record.reference,
-                                 len(record.strategy.candidates))
-    if are_alike(own_rmse, rival_rmse):
-        return "the search gains nothing"
-    if rival_rmse > own_rmse:
-        return f"the search is better by {100 * (1 - own_rmse / rival_rmse):.0f} %"
-    return "better; leave out --model" if record.solver == "all-terms" \
-        else "better; leave out the search"
 
 
 def _conventional(record: Record, row: BaselineRow) -> Iterator[str]:

@@ -64,33 +64,23 @@ def _lines_of_blocks(blocks: Iterable[Block]) -> Iterator[str]:
         if i and (after_table or is_table):
             yield ""
         after_table = is_table
-        yield from _block(block)
-
-
-def _block(block: Block) -> Iterator[str]:
-    """Yield the lines of a block."""
-    if isinstance(block, TableBlock):
-        yield from _lines_of_table(block)
-    elif isinstance(block, Note):
-        yield from _wrap_text(f"{block.label}: {block.text}", 4)
-    elif isinstance(block, Fact):
-        yield from _fact(block)
-    elif isinstance(block, Names):
-        yield from _wrap_text(f"{block.title}: {' '.join(block.names)}", 2)
-    elif isinstance(block, Code):
-        yield from block.text.splitlines()
-    elif isinstance(block, str | Statement):
-        yield from _wrap_text(block if isinstance(block, str) else block.text)
-
-
-def _fact(fact: Fact) -> Iterator[str]:
-    """Yield the lines of a fact of the first screen; its label has a column of its own."""
-    if fact.label:
-        yield from textwrap.wrap(fact.text, _WIDTH, initial_indent=fact.label.ljust(_LABEL),
-                                 subsequent_indent=" " * _LABEL, break_on_hyphens=False)
-    else:
-        # A fact without text is an empty line on purpose.
-        yield from _wrap_text(fact.text, 4) or [""]
+        if isinstance(block, TableBlock):
+            yield from _lines_of_table(block)
+        elif isinstance(block, Note):
+            yield from _wrap_text(f"{block.label}: {block.text}", 4)
+        elif isinstance(block, Fact) and block.label:
+            # A fact of the first screen: its label has a column of its own.
+            yield from textwrap.wrap(block.text, _WIDTH, initial_indent=block.label.ljust(_LABEL),
+                                     subsequent_indent=" " * _LABEL, break_on_hyphens=False)
+        elif isinstance(block, Fact):
+            # A fact without text is an empty line on purpose.
+            yield from _wrap_text(block.text, 4) or [""]
+        elif isinstance(block, Names):
+            yield from _wrap_text(f"{block.title}: {' '.join(block.names)}", 2)
+        elif isinstance(block, Code):
+            yield from block.text.splitlines()
+        elif isinstance(block, str | Statement):
+            yield from _wrap_text(block if isinstance(block, str) else block.text)
 
 
 def _lines_of_table(table: TableBlock) -> Iterator[str]:

@@ -37,7 +37,7 @@ from termsel.runs.finding import Finding, plugins_of
 from termsel.runs.judgement import best_conventional, judge_choice
 from termsel.runs.request import Request
 from termsel.runs.task import LEAST
-from termsel.runs.verdict import Verdict, judge_features, judge_independent
+from termsel.runs.verdict import judge_features, judge_independent
 from termsel.selection.problems.base import Evaluation, Selection
 from termsel.selection.problems.recipes import Recipe
 from termsel.selection.solvers.base import Generation
@@ -191,6 +191,15 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
     heights_are_known = auto.fewest(observations.pool) == 1 or (
         fitted.model.uses_height and not data.heights)
     lattice = clean.lattice
+    # Heights off a plane are no blunders: a model with heights would use them.
+    high = [f"{outlier.id} ({outlier.error:.3g} px)" for outlier in verdict.outliers
+            if outlier.id in verdict.high]
+    heights = "its height" if len(high) == 1 else "their heights"
+    left_out_for_height = [f"Left out for {heights}: {', '.join(high)}."] if high else []
+    lines = len(fitted.control.lines.features)
+    lines_in_use = fitted.used[len(fitted.control.points):].any()
+    without_lines = [f"None of the {counted(lines, 'line')} is used: the points alone predict "
+                     "better."] if lines and not lines_in_use else []
     notes = (
         *([doubt] if (doubt := rpc_correction and doubt_of_rpc(clean)) else []),
         *notes_on_dem(request.features, fitted),
@@ -201,7 +210,7 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
                 determined=outcome.exact,
                 has_geometry=method.from_one),
         *([] if lattice is None else [lattice.sentence(known=method.from_one)]),
-        *_high(verdict), *verdict.notes, *_note_on_lines(fitted), *contradicting.notes, *auto.notes)
+        *left_out_for_height, *verdict.notes, *without_lines, *contradicting.notes, *auto.notes)
     # The objective of the record is what the rule of the choice compares.
     rmse = choice.chosen.held_out_rmse
     stated = {
@@ -332,25 +341,6 @@ def _final_fit(fitted: Fit, points: Points, heights: bool, auto: Auto,
         return None
     final: Fit | None = auto.ask(method_of(fitted), "refit", fitted, FitData.of(features, heights))
     return final if final is not None and final.determined and not has_pole(final) else None
-
-
-def _high(verdict: Verdict) -> list[str]:
-    """Return the sentence on points that are left out for their height, if there are any."""
-    # Heights off a plane are no blunders: a model with heights would use them.
-    high = [f"{outlier.id} ({outlier.error:.3g} px)" for outlier in verdict.outliers
-            if outlier.id in verdict.high]
-    if not high:
-        return []
-    heights = "its height" if len(high) == 1 else "their heights"
-    return [f"Left out for {heights}: {', '.join(high)}."]
-
-
-def _note_on_lines(fitted: Fit) -> list[str]:
-    """Return a note that no line is in use; [] if some are, or there are none."""
-    lines = len(fitted.control.lines.features)
-    if not lines or fitted.used[len(fitted.control.points):].any():
-        return []
-    return [f"None of the {counted(lines, 'line')} is used: the points alone predict better."]
 
 
 def _notes_on_rpc(request: Request, data: FitData, auto: Auto, fitted: Fit) -> tuple[str, str]:

@@ -213,10 +213,21 @@ def notes_on_data(read: FeatureSet, observations: Observations, heights: bool,
     yield from _note_on_twins(features.points, independent)
     # One blunder far away draws all others together.
     yield from _note_on_one_line((clean or observations).together)
-    if heights and not blank:
-        yield from _note_on_blank_among_others(features)
-    if heights and len(features) > 1 and not features.without_height():
-        yield from _note_on_carriers(features, observations.carriers)
+    missing = features.without_height()
+    if heights and not blank and 0 < len(missing) < len(features):
+        yield (f"{len(missing)} of {len(features)} {features.word} have no height, so the heights "
+               f"of the others were not used: {first_of(missing)}. Take those that are missing "
+               "from a raster (--dem FILE).")
+    if heights and len(features) > 1 and not missing:
+        # Heights may rest on one or two features.
+        carrying = observations.carriers
+        if len(carrying) == 1 and len(features) < SOME:
+            yield (f"With {len(features)} {features.word} nothing distinguishes what a height does "
+                   "from an error, so the model is plane.")
+        elif carrying:
+            yield (f"All heights but that of {' and that of '.join(carrying)} lie on a plane. What "
+                   "a height does cannot be distinguished from an error there, so the model is "
+                   "plane.")
         yield from (_note_on_flat(observations.joint, independent) if fitted is None
                     else _note_on_flat(
             FitData.of(fitted, False), observations.check.join_unchecked(independent)))
@@ -227,15 +238,6 @@ def notes_on_dem(features: FeatureSet, fitted: Fit) -> Iterator[str]:
     difference = features.dem_difference
     if difference is not None and difference.contradicts:
         yield difference.sentence(pixels_of(difference, fitted.control, fitted.project))
-
-
-def _note_on_blank_among_others(features: FeatureSet) -> Iterator[str]:
-    """Yield that heights were not used, as some features have none."""
-    missing = features.without_height()
-    if 0 < len(missing) < len(features):
-        yield (f"{len(missing)} of {len(features)} {features.word} have no height, so the heights "
-               f"of the others were not used: {first_of(missing)}. Take those that are missing "
-               "from a raster (--dem FILE).")
 
 
 def _note_on_two_groups(features: FeatureSet) -> Iterator[str]:
@@ -255,22 +257,16 @@ def _note_on_two_groups(features: FeatureSet) -> Iterator[str]:
 
 def _note_on_one_line(features: FeatureSet) -> Iterator[str]:
     """Yield where the features lie on one straight line, in the image or on the ground."""
+    ground = features.ground_vertices()
+    plan = plan_of(features.crs, ground)
+    if plan is None:  # geocentric: X, Y and Z
+        plan = ground[~np.isnan(ground[:, 2])]
     views = " and ".join(name for name, positions in (
-        ("in the image", features.image_vertices()), ("on the ground", _plan_coordinates(features)))
+        ("in the image", features.image_vertices()), ("on the ground", plan))
         if _is_narrow(positions))
     if views:
         yield (f"All {features.word} lie close to one straight line {views}. Nothing shows what "
                "the model does away from it: measure points there.")
-
-
-def _plan_coordinates(features: FeatureSet) -> FloatArray:
-    """Return the plane positions of features, (v, 2), with one unit along both axes.
-
-    In geocentric coordinates they are X, Y and Z, (v, 3).
-    """
-    ground = features.ground_vertices()
-    plan = plan_of(features.crs, ground)
-    return ground[~np.isnan(ground[:, 2])] if plan is None else plan
 
 
 def _is_narrow(positions: FloatArray) -> bool:
@@ -281,16 +277,6 @@ def _is_narrow(positions: FloatArray) -> bool:
     # Singular values of centred places: the extents along and across the line.
     length, width, *_ = np.linalg.svd(positions - positions.mean(axis=0), compute_uv=False)
     return bool(length > 0.0 and width <= NARROW * length)
-
-
-def _note_on_carriers(features: FeatureSet, carrying: tuple[str, ...]) -> Iterator[str]:
-    """Yield which features heights rest on, where they are one or two."""
-    if len(carrying) == 1 and len(features) < SOME:
-        yield (f"With {len(features)} {features.word} nothing distinguishes what a height does "
-               "from an error, so the model is plane.")
-    elif carrying:
-        yield (f"All heights but that of {' and that of '.join(carrying)} lie on a plane. What a "
-               "height does cannot be distinguished from an error there, so the model is plane.")
 
 
 def _note_on_flat(control: FitData, points: Points) -> Iterator[str]:

@@ -380,8 +380,13 @@ def _named_parts(recipe: Recipe, model: Any, solver: Any, criterion: Any,
         log.info("Note: poly-terms selects terms of polynomials. With --model rfm it selects those "
                  "of a rational function, as rfm-terms does.")
     # Where terms have no influence there is nothing to search.
-    usual_solver = "all-terms" if issubclass(class_of(model_part), Interpolating) \
-        else SEVERAL_OBJECTIVES if _several_objectives(recipe, settings) else recipe.solver
+    usual_solver = recipe.solver
+    if issubclass(class_of(model_part), Interpolating):
+        usual_solver = "all-terms"
+    # Solvers are loaded only where several objectives are asked for: a choice needs none.
+    elif listed(settings.get("objectives", settings.get("problem.objectives"))) \
+            and names.get("solvers", recipe.solver).max_objectives == 1:
+        usual_solver = SEVERAL_OBJECTIVES
     components = {
         "model": model_part,
         "criterion": names.taken("criteria", recipe.criterion if criterion is None else criterion),
@@ -390,14 +395,6 @@ def _named_parts(recipe: Recipe, model: Any, solver: Any, criterion: Any,
     if then is not None:
         components["then"] = names.get("solvers", then)
     return components
-
-
-def _several_objectives(recipe: Recipe, settings: Mapping[str, Any]) -> bool:
-    """Return whether objectives are asked for that the problem's own solver cannot take."""
-    names = settings.get("objectives", settings.get("problem.objectives"))
-    # Solvers are loaded only where this is asked: a choice needs none.
-    return bool(listed(names)) \
-        and registry().get("solvers", recipe.solver).max_objectives == 1
 
 
 def _usual_options(recipe: Recipe, components: Mapping[str, Any], model: Any,
@@ -409,7 +406,11 @@ def _usual_options(recipe: Recipe, components: Mapping[str, Any], model: Any,
     """
     usual: dict[str, dict[str, Any]] = {}
     model_part = components["model"]
-    rpc = _rpc_option(model_part, features)
+    # A model that refines an RPC takes that of the features.
+    takes_rpc = any(option.name == "rpc" for option in model_part.declared_options)
+    rpc = {}
+    if features is not None and features.rpc is not None and takes_rpc:
+        rpc = {"rpc": json.encode(features.rpc.numbers()).decode()}
     if model in (None, recipe.model):
         # The RPC of a recipe is that of its data set, and of no other points.
         of_recipe = {name: option for name, option in recipe.model_options.items()
@@ -422,14 +423,6 @@ def _usual_options(recipe: Recipe, components: Mapping[str, Any], model: Any,
         if isinstance(component, type) and issubclass(component, Solver):
             usual[role] = dict(recipe.solver_options.get(component.name, {}))
     return usual
-
-
-def _rpc_option(model: type[SensorModel] | SensorModel,
-                features: FeatureSet | None) -> dict[str, str]:
-    """Return the option of a model that refines an RPC, where the features have one."""
-    rpc = None if features is None else features.rpc
-    takes = any(option.name == "rpc" for option in model.declared_options)
-    return {"rpc": json.encode(rpc.numbers()).decode()} if rpc is not None and takes else {}
 
 
 def split_of(of_data: Mapping[str, Any]) -> Split | None:
@@ -469,16 +462,12 @@ def _options_of_problem(recipe: Recipe, settings: Mapping[str, Any], criterion: 
     if options.get("steps") == "joint" and "then" in options:
         options["then"] = None
     if "recommend" in options:
-        options["recommend"] = _rule(options["recommend"], criterion, solver)
+        rule = options["recommend"]
+        if rule == "one-standard-error" and not criterion.is_rmse:
+            raise TermselError(f"criterion {criterion.name!r} is no RMSE, so it has no standard "
+                               "error to recommend a selection by",
+                               hint="Choose --set recommend=knee or best, or --criterion "
+                                    "check-rmse, press or kfold, these with loss=squares.")
+        has_standard_error = solver.max_objectives > 1 and criterion.is_rmse
+        options["recommend"] = rule or ("one-standard-error" if has_standard_error else "best")
     return options
-
-
-def _rule(name: str | None, criterion: Criterion, solver: Solver) -> str:
-    """Return the rule by which a member of a front is recommended."""
-    if name == "one-standard-error" and not criterion.is_rmse:
-        raise TermselError(f"criterion {criterion.name!r} is no RMSE, so it has no standard error "
-                           "to recommend a selection by",
-                           hint="Choose --set recommend=knee or best, or --criterion check-rmse, "
-                                "press or kfold, these with loss=squares.")
-    return name or ("one-standard-error" if solver.max_objectives > 1 and criterion.is_rmse
-                     else "best")

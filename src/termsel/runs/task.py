@@ -378,27 +378,22 @@ def with_shares(request: Request, *, auto: bool = False) -> Request:
     of_data = request.options["data"]
     if of_data["fractions"] is not None:
         return request
-    shares = _usual_shares(request, auto=auto)
-    return replace(request, options={**request.options, "data": {**of_data, "fractions": shares}})
-
-
-def _usual_shares(request: Request, *, auto: bool) -> str:
-    """Return the shares of roles where nobody states them."""
     # Points that are off take no part, nor do they count.
     roles = [role for role in request.features.points.roles if role != "off"]
-    is_mixed = request.options["problem"].get("mixed")
-    points_are_control = request.recipe.control == "points" or is_mixed
-    # A search that judges by selection points needs a third for these, a third for the verdict.
-    if request.criterion.needs_check or not points_are_control \
-            or request.options["data"]["roles"] != FILE:
-        return EQUAL_SHARES
-    # Of a lattice whole lines are held out, so that no point need be set aside.
-    if auto and lattice_of(request.features.points) is not None:
-        return ALL_CONTROL  # its lines and columns are held out
-    if auto:
-        return SPARED if len(roles) >= MANY and "independent" not in roles else ALL_CONTROL
+    points_are_control = request.recipe.control == "points" \
+        or request.options["problem"].get("mixed")
     has_few = len(roles) < MIN_POINTS_TO_DIVIDE and not {"control", "check"} & set(roles)
-    return ALL_CONTROL if has_few and request.recipe.control == "points" else EQUAL_SHARES
+    # A search that judges by selection points needs a third for these, a third for the verdict.
+    shares = EQUAL_SHARES
+    if request.criterion.needs_check or not points_are_control or of_data["roles"] != FILE:
+        pass
+    elif auto and lattice_of(request.features.points) is not None:
+        shares = ALL_CONTROL  # whole lines and columns of a lattice are held out
+    elif auto:
+        shares = SPARED if len(roles) >= MANY and "independent" not in roles else ALL_CONTROL
+    elif has_few and request.recipe.control == "points":
+        shares = ALL_CONTROL
+    return replace(request, options={**request.options, "data": {**of_data, "fractions": shares}})
 
 
 def _built(request: Request, inputs: ProblemData) -> Problem:
@@ -561,7 +556,14 @@ def task_of_method(request: Request, auto: Auto) -> Task:
     TermselError
         If the features are too few, or their heights not those of the RPC.
     """
-    fewest = fewest_features(request.features, auto)
+    # One feature is enough where something is known of the image.
+    features = request.features
+    fewest = LEAST if features.rpc is None else 1
+    # Independent points must not decide whether the others are enough.
+    in_use = np.array([role not in ("independent", "off") for role in features.points.roles]
+                      + [True] * len(features.lines.features), dtype=bool)
+    if features.rpc is None and 0 < in_use.sum() < LEAST:
+        fewest = min(LEAST, auto.fewest(FitData.of(features.take(in_use))))
     observations = observe(request, fewest)
     # The image may be a part, or a coarser copy, of that of its RPC, as control shows; roles are
     # assigned again then, as the RPC has moved.
@@ -570,18 +572,6 @@ def task_of_method(request: Request, auto: Auto) -> Task:
         request = with_part(request, image_part)
         observations = observe(request, fewest)
     return Task(request, with_polar(observations))
-
-
-def fewest_features(features: FeatureSet, auto: Auto) -> int:
-    """Return the fewest features to choose by: one where something is known of the image."""
-    if features.rpc is not None:
-        return 1
-    # Independent points must not decide whether the others are enough.
-    in_use = np.array([role not in ("independent", "off") for role in features.points.roles]
-                      + [True] * len(features.lines.features), dtype=bool)
-    if not 0 < in_use.sum() < LEAST:
-        return LEAST
-    return min(LEAST, auto.fewest(FitData.of(features.take(in_use))))
 
 
 def require_alone(method: object, words: list[str]) -> None:

@@ -184,17 +184,9 @@ class FieldSolutions:
 
     @property
     def posterior(self) -> Posterior:
-        """All solutions; only to be asked of fields that `without_unlikely` has kept."""
+        """All solutions; only to be asked of fields that are likely, whose arrays are kept."""
         assert self.grid is not None
         return self.grid
-
-    def without_unlikely(self, highest: float) -> FieldSolutions:
-        """Return these solutions, without their arrays if others are far likelier.
-
-        `highest` is the greatest log evidence of all; arrays of many points fill the memory.
-        """
-        likely = self.log_evidence > highest - MAX_LOG_RATIO
-        return self if likely else replace(self, grid=None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -400,7 +392,10 @@ def _cached_gaussian_process(measurements: Measurements,
             return None
         solutions += map(_solutions_of, grids, batch, whitenings)
         highest = max(solution.log_evidence for solution in solutions)
-        solutions[1:] = [solution.without_unlikely(highest) for solution in solutions[1:]]
+        # Of solutions that are far less likely than others the arrays go, which fill the memory.
+        for i, solution in enumerate(solutions[1:], 1):
+            if solution.log_evidence <= highest - MAX_LOG_RATIO:
+                solutions[i] = replace(solution, grid=None)
     if spline_weight > 0.0:  # next to affine functions alone, all of one scale
         whitening = _whitening_matrix(knots, SPLINE_LENGTHS)
         grids = posteriors(
@@ -510,7 +505,13 @@ def _covariances(positions: FloatArray, knots: FloatArray,
                  lengths: tuple[float, float]) -> FloatArray:
     """Return covariances of places with knots, shape (m, k)."""
     if lengths != SPLINE_LENGTHS:
-        return _matern_correlations(positions, knots, lengths)
+        # Matern with nu = 3/2: (1 + r) exp(-r), r = sqrt(3) times the distance by lengths.
+        r = squared_distances(positions * np.sqrt(3.0) / lengths, knots * np.sqrt(3.0) / lengths)
+        np.sqrt(r, out=r)
+        correlation: FloatArray = np.exp(-r)
+        r += 1.0  # in place, as these are the largest arrays
+        correlation *= r
+        return correlation
     return spline_field(knots).covariances(positions)
 
 
@@ -520,14 +521,3 @@ def _variances(positions: FloatArray, knots: FloatArray,
     if lengths != SPLINE_LENGTHS:
         return np.ones(len(positions))
     return spline_field(knots).variances(positions)
-
-
-def _matern_correlations(a: FloatArray, b: FloatArray, lengths: tuple[float, float]) -> FloatArray:
-    """Return the correlations between places, shape (len(a), len(b))."""
-    # Matern with nu = 3/2: (1 + r) exp(-r), r = sqrt(3) times the distance by lengths.
-    r = squared_distances(a * np.sqrt(3.0) / lengths, b * np.sqrt(3.0) / lengths)
-    np.sqrt(r, out=r)
-    correlation: FloatArray = np.exp(-r)
-    r += 1.0  # in place, as these are the largest arrays
-    correlation *= r
-    return correlation

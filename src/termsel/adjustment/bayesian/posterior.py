@@ -490,15 +490,6 @@ def _noises(posterior: Posterior) -> FloatArray:
     return np.asarray(posterior.square / (posterior.freedom - 2))
 
 
-def _noise_of_solutions(posterior: Posterior, axis: int) -> FloatArray:
-    """Return the noise of each solution of an axis by its probability, shape (g, s)."""
-    noises = _noises(posterior)
-    solution_of_cell = posterior.cells.solutions[axis]
-    count = len(posterior.evidence[axis].square)
-    return np.asarray(np.bincount(solution_of_cell, posterior.cells.share * noises, count),
-                      dtype=np.float64).reshape(len(posterior.scales), -1)
-
-
 @lru_cache(maxsize=32)  # places come in batches
 def _coefficient_moments(posterior: Posterior,
                          axis: int) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -507,8 +498,10 @@ def _coefficient_moments(posterior: Posterior,
     The noise of each solution by its probability, (g, s), and mean and root of the covariance of
     the coefficients, (k,) and (k, k).
     """
-    weight = _noise_of_solutions(posterior, axis)
     solutions = posterior.solutions[axis]
+    weight = np.asarray(np.bincount(
+        posterior.cells.solutions[axis], posterior.cells.share * _noises(posterior),
+        len(posterior.evidence[axis].square)), dtype=np.float64).reshape(len(posterior.scales), -1)
     design = posterior.designs[axis]
     k = posterior.scales.shape[1]
     share = np.bincount(solutions.solution_of_cell, posterior.cells.share,

@@ -146,16 +146,15 @@ def designs_of(lead: FloatArray, shrunken: FloatArray, scales: FloatArray,
             or (1.0 - (q[:, :f]**2).sum(axis=1)).min() < TOLERANCE:
         return None
     in_basis = np.array([projections[f:] for *_, projections in factors])
-    decompositions = [None] * len(factors) if n_own == k else _left_singular(in_basis[:, :, n_own:])
+    # Left singular vectors U and singular values S of the shared columns C: C C' = U S^2 U'.
+    decompositions: list[tuple[FloatArray, FloatArray] | None] = [None] * len(factors)
+    if n_own != k:
+        shared = in_basis[:, :, n_own:]
+        squares, u = np.linalg.eigh(shared @ shared.swapaxes(1, 2))
+        decompositions = list(zip(u, np.sqrt(np.maximum(squares, 0.0)), strict=True))
     return [Design(q[:, f:], q, columns, scales, triangle, projections[:f], n_own, decomposition)
             for (q, triangle, projections), columns, decomposition in zip(
                 factors, in_basis, decompositions, strict=True)]
-
-
-def _left_singular(columns: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
-    """Return left singular vectors and singular values of columns (d, m, k)."""
-    squares, u = np.linalg.eigh(columns @ columns.swapaxes(1, 2))
-    return list(zip(u, np.sqrt(np.maximum(squares, 0.0)), strict=True))
 
 
 @dataclass(frozen=True, eq=False)

@@ -74,11 +74,15 @@ def note_on_turned(features: FeatureSet) -> str:
                 f"{exchanging_others}.")
     # Computed points, and what names its sensor, say how the image was seen.
     is_declared = lattice_of(features.points) is not None or _SENSOR in features.points.attributes
-    if not is_declared and (counted := _coordinate_counted_otherwise(features)):
+    turn = None if is_declared else _rotation_to_east_north_up(features)
+    # A mirror image: one coordinate is counted other than from the upper left.
+    if turn is not None and np.linalg.det(turn) < 0:
+        is_upwards = turn[0, 0] > turn[1, 1]
+        direction = _UPWARDS if is_upwards else "sample numbers grow to the west"
         upwards = (" If lines count from the lower edge of the image, give --set "
-                   "image_origin=bottom-left and --image FILE." if counted == _UPWARDS else "")
-        return (f"{counted} here, as on maps whose y points up and in some radar images.{upwards} "
-                "If this is neither, check whether x and y are swapped.")
+                   "image_origin=bottom-left and --image FILE." if is_upwards else "")
+        return (f"{direction} here, as on maps whose y points up and in some radar images."
+                f"{upwards} If this is neither, check whether x and y are swapped.")
     return ""
 
 
@@ -120,7 +124,15 @@ def swapped(features: FeatureSet) -> str:
     lies to their right.
     """
     # Outside the area of its CRS, and inside with x and y exchanged.
-    if _is_misplaced(features):
+    ground = features.ground_vertices()
+    area = area_of_use(features.crs) if len(ground) else None
+    exchanged = None
+    if area is not None and not is_geocentric(features.crs):
+        as_they_stand = degrees_of(features.crs, ground)
+        exchanged = degrees_of(features.crs, ground[:, [1, 0, 2]])
+    # Scenes may reach beyond the area, so one that is near it is not outside.
+    if area is not None and exchanged is not None and _is_inside(exchanged, area, 0.0) \
+            and (as_they_stand is None or not _is_inside(as_they_stand, area, _AREA_MARGIN)):
         return (f"x and y look swapped: exchanged, they lie in the area of "
                 f"{short(features.crs)}, and not as they stand")
     # A mirror image of the ground about a diagonal: exchanging makes it the view from above.
@@ -129,15 +141,6 @@ def swapped(features: FeatureSet) -> str:
         return ""
     pair = "x and y" if turn[0, 1] + turn[1, 0] > 0 else "line and sample"
     return f"{pair} look swapped: the image is a mirror image of the ground about its diagonal"
-
-
-def _coordinate_counted_otherwise(features: FeatureSet) -> str:
-    """Return which image coordinate is counted other than from the upper left; "" if none is."""
-    turn = _rotation_to_east_north_up(features)
-    if turn is None or np.linalg.det(turn) >= 0:
-        return ""
-    return (_UPWARDS if turn[0, 0] > turn[1, 1]
-            else "sample numbers grow to the west")
 
 
 def is_mirrored(features: FeatureSet) -> bool | None:
@@ -229,19 +232,6 @@ def zone_of_utm_instead(crs: str, features: FeatureSet) -> str:
     return (f"{short(crs)} is for the area from {in_words((west, south))} to "
             f"{in_words((east, north))}, but the map is at {in_words(middle)}: --crs "
             f"{metric_crs(features.crs, *middle)} is the zone of UTM there")
-
-
-def _is_misplaced(features: FeatureSet) -> bool:
-    """Return whether features lie outside the area of their CRS, but inside if swapped."""
-    ground = features.ground_vertices()
-    area = area_of_use(features.crs) if len(ground) else None
-    if area is None or is_geocentric(features.crs):
-        return False
-    as_they_stand = degrees_of(features.crs, ground)
-    exchanged = degrees_of(features.crs, ground[:, [1, 0, 2]])
-    # Scenes may reach beyond the area, so one that is near it is not outside.
-    return exchanged is not None and _is_inside(exchanged, area, 0.0) \
-        and (as_they_stand is None or not _is_inside(as_they_stand, area, _AREA_MARGIN))
 
 
 def _is_inside(position: tuple[float, float], area: tuple[float, float, float, float],

@@ -187,24 +187,18 @@ NO_PIXEL = 100_000.0
 def note_on_mixed(features: FeatureSet) -> str:
     """Return which coordinates look as if they were of another kind than they should be; or ""."""
     points = features.points
-    if note := _note_on_map_coordinates(features):
-        return note
+    image = points.image
+    if len(image) and np.median(np.abs(image).max(axis=1)) >= NO_PIXEL:
+        # Line and sample may be northings and eastings, not pixels.
+        distance = float(np.median(np.abs(image - points.ground[:, [1, 0]]).max(axis=1)))
+        if distance <= SAME:
+            return (f"Line and sample are y and x themselves, to {distance:.2g}: they look like "
+                    "map coordinates of a georeferenced image, not pixels. What is stated in px is "
+                    "in units of the map then; for pixels, measure in the image without its "
+                    "georeferencing.")
     if len(points) < MIN_AFFINE_POINTS or not features.crs:
         return ""
     return _two_zones(features) or _note_on_minutes(features)
-
-
-def _note_on_map_coordinates(features: FeatureSet) -> str:
-    """Return a note that line and sample are northings and eastings, not pixels; or ""."""
-    image = features.points.image
-    if not len(image) or np.median(np.abs(image).max(axis=1)) < NO_PIXEL:
-        return ""
-    distance = float(np.median(np.abs(image - features.points.ground[:, [1, 0]]).max(axis=1)))
-    if distance > SAME:
-        return ""
-    return (f"Line and sample are y and x themselves, to {distance:.2g}: they look like map "
-            "coordinates of a georeferenced image, not pixels. What is stated in px is in units of "
-            "the map then; for pixels, measure in the image without its georeferencing.")
 
 
 def _two_zones(features: FeatureSet) -> str:

@@ -205,18 +205,14 @@ class Table:
                                    angle=meaning[0] if meaning[0] in "xy" else "")
         except BadCell as error:
             raise self.error(error.what, error.row, meaning, error.hint) from None
-        if meaning[0] == "z":
-            self._refuse_voids(numbers, meaning)
-        return numbers
-
-    def _refuse_voids(self, heights: FloatArray, meaning: str) -> None:
-        """Raise a TermselError for heights that stand for none in rasters, such as -9999."""
-        voids = np.flatnonzero(np.isin(heights, VOID_HEIGHTS))
+        # What stands for none in rasters, such as -9999.
+        voids = np.flatnonzero(np.isin(numbers, VOID_HEIGHTS)) if meaning[0] == "z" else ()
         if len(voids):
             further = f", as in {amount(len(voids), 'row')}" if len(voids) > 1 else ""
-            raise self.error(f"{heights[voids[0]]:.0f} is no height, but what rasters have where "
+            raise self.error(f"{numbers[voids[0]]:.0f} is no height, but what rasters have where "
                              f"there is none{further}", int(voids[0]), meaning,
                              "Leave these cells blank, or correct them.")
+        return numbers
 
 
 def points_of(table: Table, crs: str) -> FeatureSet:
