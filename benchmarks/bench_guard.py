@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks.bench_kernels import Row, best_of
 from termsel import prepare, search
-from termsel.core.isolation.calls import unguarded
+from termsel.core.isolation.calls import without_guards
 from termsel.data.features import FloatArray
 from termsel.selection.criteria import CheckRmse, Fits
 from termsel.selection.problems.base import Evaluation, Problem
@@ -65,7 +65,7 @@ def rows() -> Iterator[Row]:
             return float(search(posed, made, generations=40).objectives[0])
 
         def bare() -> float:
-            with unguarded():
+            with without_guards():
                 return run()
 
         guarded, free = best_of([run, bare], seconds=5.0)

@@ -31,7 +31,7 @@ from termsel.results.theme import (
     UNUSED,
     chart_rows,
     require_altair,
-    styled,
+    with_theme,
 )
 from termsel.selection.best_subsets.columns.system import SubtreeNode
 from termsel.selection.best_subsets.score_systems import ScoreSystems, score_systems
@@ -357,7 +357,7 @@ def figure(front: Front, study: termsel.Study) -> Any:
     label = alt.Chart(chart_rows([{"rmse": plain, "terms": 8.2}])).mark_text(
         text="independent RMSE, quadratic", align="left", dy=12,
         color=INDEPENDENT).encode(x, y)
-    return styled((dots + lines + rule + label).properties(width=560, height=330))
+    return with_theme((dots + lines + rule + label).properties(width=560, height=330))
 
 
 HEAD = """# The optimum of the RFM of 78 terms

@@ -9,7 +9,14 @@ import sys
 import warnings
 
 try:
-    from termsel.core.interrupts import INTERRUPTED, answered, end, end_at_once, leave, watch
+    from termsel.core.interrupts import (
+        INTERRUPTED,
+        end,
+        end_at_once,
+        leave,
+        take_pending_interrupt,
+        watch,
+    )
 except KeyboardInterrupt:
     raise SystemExit(130) from None  # as later, but without the words
 
@@ -40,12 +47,12 @@ def report_fault(
     """
     if issubclass(kind, KeyboardInterrupt):
         leave()
-    from termsel.core.errors import cut, printable, raised
+    from termsel.core.errors import cut, exception_in_words, printable
     from termsel.core.version import __version__
 
     if os.environ.get("TERMSEL_DEBUG") == "1":
         sys.__excepthook__(kind, error, trace)
-    what = cut(raised(error).rstrip("."), 1000)
+    what = cut(exception_in_words(error).rstrip("."), 1000)
     print(printable(FAULT.format(what=what, version=__version__)), file=sys.stderr)
 
 
@@ -125,7 +132,7 @@ def end_if_interrupted(code: object) -> None:
     # answered() is True if Ctrl-C came and nothing has handled it yet; asking handles it. A library
     # may have made another error of the interrupt, such as "cannot be imported": then nobody has
     # been told, and leave() prints "Interrupted." before it ends the program.
-    if answered() and code not in (0, INTERRUPTED):
+    if take_pending_interrupt() and code not in (0, INTERRUPTED):
         leave()
     # The command has said what it kept, and how to go on: end() prints nothing more.
     if code == INTERRUPTED:

@@ -23,7 +23,7 @@ from termsel.auto.shrunken import average
 from termsel.data.features import no_lines, no_points
 from termsel.data.fit_data import FitData
 from termsel.data.monomials import graded_exponents, monomials
-from termsel.data.record.figures import plain
+from termsel.data.record.figures import as_plain_data
 from termsel.data.scaling import scaling_of
 
 
@@ -99,13 +99,13 @@ def test_blunders_do_not_spoil_the_accuracy_and_are_told() -> None:
     assert f"Outliers 2 points rejected: {ids[control]} " in said
     assert f"1 independent check point contradicts the model: {ids[independent]} " in said
     assert spoilt.next_step("r") == f"Next: run again with --off {ids[independent]}"
-    independent_rmse, plain = spoilt.rmse["independent"], before.rmse["independent"]
+    independent_rmse, bare_rmse = spoilt.rmse["independent"], before.rmse["independent"]
     assert independent_rmse is not None
-    assert plain is not None
-    assert independent_rmse.total > 5 * plain.total  # it counts, and is told without
+    assert bare_rmse is not None
+    assert independent_rmse.total > 5 * bare_rmse.total  # it counts, and is told without
     assert spoilt.accuracy_without is not None
     assert before.accuracy_without is None
-    assert spoilt.accuracy_without.image.total == pytest.approx(plain.total, rel=0.1)
+    assert spoilt.accuracy_without.image.total == pytest.approx(bare_rmse.total, rel=0.1)
     assert spoilt.strategy is not None
     assert before.strategy is not None
     assert spoilt.strategy.predicted == pytest.approx(before.strategy.predicted, rel=0.1)
@@ -202,7 +202,7 @@ def blank(n: int) -> FeatureSet:
 @pytest.mark.parametrize("n", [5, 8, 11, 14])
 def test_few_points_without_roles_are_all_control(n: int) -> None:
     result = termsel.run("rfm-terms", features=blank(n))
-    assert plain(result.data.counts) == {
+    assert as_plain_data(result.data.counts) == {
         "control": n, "check": 0, "independent": 0, "lines": 0, "off": 0}
     assert result.strategy is not None
     assert result.strategy.predicted is not None

@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 import termsel
 from termsel.core.errors import TermselError
 from termsel.data.features import FeatureSet, Points
-from termsel.data.record.figures import plain
+from termsel.data.record.figures import as_plain_data
 from termsel.simulate import simulate_scene
 
 PROBLEMS = ("rfm-terms", "rfm-terms-lines", "poly-terms", "owdis-points", "owdis-lines",
@@ -48,8 +48,8 @@ def test_selected_lines_beat_all_lines_on_independent_points() -> None:
     result = termsel.run("owdis-lines", seed=1)
     everything = result.baselines[0].rmse["independent"].total
     assert result.rmse["independent"].total < 0.7 * everything
-    assert plain(result.data.counts) == {"control": 0, "check": 24, "independent": 26,
-                                         "lines": 120, "off": 24}
+    assert as_plain_data(result.data.counts) == {"control": 0, "check": 24, "independent": 26,
+                                                 "lines": 120, "off": 24}
     assert any("control points of the file are unused" in note for note in result.notes)
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from termsel.core.errors import TermselError
 from termsel.core.files import lock
-from termsel.core.files.lock import end_turn, locked, turn
+from termsel.core.files.lock import end_turn, lock_folder, turn
 
 numba = pytest.importorskip("numba")
 
@@ -34,7 +34,7 @@ def test_where_nothing_can_be_locked_nobody_waits(tmp_path: Path,
     monkeypatch.setattr(lock.fcntl, "flock", refuse)
     monkeypatch.setattr(time, "sleep", waits)
     assert turn(tmp_path / "kernel.lock", 60.0) is None
-    with pytest.raises(TermselError, match="No locks available"), locked(tmp_path):
+    with pytest.raises(TermselError, match="No locks available"), lock_folder(tmp_path):
         pass
 
 

@@ -35,7 +35,7 @@ from termsel.core.files import atomic
 from termsel.core.files.atomic import write_text
 from termsel.data.rasters import tiff_bytes
 from termsel.formats.writers.grids import GeolocationVrt
-from termsel.io.result_folder import claimed, read_result, write_result
+from termsel.io.result_folder import lock_output_folder, read_result, write_result
 from termsel.testing import example_results
 from termsel_formats.maps.residuals import ResidualsGeopackage
 
@@ -96,7 +96,7 @@ def scenario_of(name: str) -> Scenario:
     old, new = _results()
 
     def run(result: Any, folder: Path) -> None:
-        with claimed(folder, overwrite=True):
+        with lock_output_folder(folder, overwrite=True):
             write_result(result, folder)
 
     def result_in(folder: Path) -> str:

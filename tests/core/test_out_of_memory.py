@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 from termsel.cli.main import cli
 from termsel.core.isolation import memory
-from termsel.core.isolation.faults import blamed
+from termsel.core.isolation.faults import attribute_errors_to
 from termsel.core.isolation.memory import out_of_memory
 
 
@@ -55,7 +55,7 @@ def test_a_plugin_is_not_blamed_for_it() -> None:
     class Foreign:
         __module__ = "foreign"
 
-    with pytest.raises(MemoryError), blamed(Foreign(), "fit"):
+    with pytest.raises(MemoryError), attribute_errors_to(Foreign(), "fit"):
         raise MemoryError
 
 

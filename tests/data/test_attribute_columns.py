@@ -17,7 +17,7 @@ import pytest
 import termsel
 from termsel import FeatureSet, Lines, Objective, Option, Points, Recipe, SelectionProblem
 from termsel.core.errors import TermselError
-from termsel.data.roles import in_order, merged
+from termsel.data.roles import in_order, with_merged_twins
 from termsel.data.scaling import scaling_of
 from termsel.formats.readers.csv_tables import write_lines_csv, write_points_csv
 from termsel.plugins.registry import registry
@@ -89,7 +89,7 @@ def test_rows_stay_together() -> None:
     assert aligned(scaled)
     assert scaled.attributes["source"].tolist() == shuffled.points.attributes["source"].tolist()
     again = replace(both, ids=tuple(f"Q{i}" for i in range(16)), ground=both.ground + 1e-7)
-    alone = merged(FeatureSet(both.join(again)))
+    alone = with_merged_twins(FeatureSet(both.join(again)))
     assert len(alone) == 16
     assert aligned(alone.points)
     assert aligned(pickle.loads(pickle.dumps(both)))

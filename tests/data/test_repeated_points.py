@@ -9,7 +9,7 @@ import pytest
 
 import termsel
 from termsel.data.features import FeatureSet, Points, no_lines
-from termsel.data.roles import merged, twins
+from termsel.data.roles import twins, with_merged_twins
 from termsel.selection.criteria import KFold
 
 
@@ -109,7 +109,7 @@ def test_how_near_twins_are(shift: float, groups: int, few: int,
 
 def test_points_that_are_apart_stay_as_they_are() -> None:
     features = scene(30)
-    assert merged(features) is features
+    assert with_merged_twins(features) is features
     seen_through = features.points.ground.copy()
     seen_through[1] = seen_through[0] + [0.0, 0.0, 300.0]  # one line of sight
     assert len(set(twins(seen_through))) == 30

@@ -25,7 +25,7 @@ from termsel import (
     TermselError,
     read_result,
 )
-from termsel.data.record.figures import plain
+from termsel.data.record.figures import as_plain_data
 from termsel.plugins.registry import Registry, registry
 from termsel.results.result import Result as Record
 
@@ -106,8 +106,8 @@ def test_what_no_plugin_provides_runs_and_its_record_says_so(
     assert result.problem == "crossed-terms"
     assert "line.num:X2" not in result.fit.model.terms
     assert result.objectives["worst"] > 0
-    assert plain(result.plugins["model"]) == {"name": "session:crossed", "version": "",
-                                              "class": f"{__name__}.Crossed"}
+    assert as_plain_data(result.plugins["model"]) == {"name": "session:crossed", "version": "",
+                                                      "class": f"{__name__}.Crossed"}
     assert set(result.plugins) == {"problem", "model", "solver", "criterion"}
     assert f"call termsel.register({__name__}.Crossed)" in " ".join(result.notes)
 

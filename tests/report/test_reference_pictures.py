@@ -21,7 +21,7 @@ import termsel
 from termsel.data.record.search import HistoryRow
 from termsel.results import view
 from termsel.results.plots import KINDS, chart
-from termsel.results.theme import styled
+from termsel.results.theme import with_theme
 from termsel.studies.cells.journal import CellRecord
 from termsel.studies.plan.spec import spec_of
 from termsel.studies.study import Study
@@ -105,7 +105,7 @@ def of_result(name: str) -> Any:
 
 def of_study(name: str) -> Any:
     one = next(figure for figure in figures_of(study()) if figure.name == name)
-    return styled(one.chart, one.title, one.look)
+    return with_theme(one.chart, one.title, one.look)
 
 
 PICTURES: dict[str, Callable[[str], Any]] = {

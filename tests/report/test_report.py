@@ -17,7 +17,7 @@ from click.testing import CliRunner
 import termsel
 from termsel.cli import plot
 from termsel.cli.main import cli
-from termsel.data.record.figures import plain
+from termsel.data.record.figures import as_plain_data
 from termsel.io.example import write_example
 from termsel.results import library
 from termsel.results.charts import maps
@@ -380,9 +380,9 @@ def test_the_command_repeats_a_run_with_an_rpc_and_an_image(
 def test_budgets_are_in_the_record_and_the_command(tmp_path: Path) -> None:
     result = termsel.run("poly-terms", solver="random", generations=np.int64(7), seconds=95,
                          patience=30, out=tmp_path / "r")
-    assert plain(result.budget) == {"generations": 7, "seconds": 95.0, "patience": 30}
+    assert as_plain_data(result.budget) == {"generations": 7, "seconds": 95.0, "patience": 30}
     record = json.loads((tmp_path / "r" / "result.json").read_text())
-    assert record["budget"] == plain(result.budget)
+    assert record["budget"] == as_plain_data(result.budget)
     assert "--generations 7 " in command(result)
     assert command(result).replace("\\\n", " ").split()[-6:] == [
         "--generations", "7", "--seconds", "95", "--patience", "30"]

@@ -15,7 +15,7 @@ import termsel
 from termsel.auto.methods import METHODS, named
 from termsel.core.errors import TermselError
 from termsel.data.features import FeatureSet, no_lines, no_points
-from termsel.data.record.figures import AdjustmentFigures, StandardFigure, plain
+from termsel.data.record.figures import AdjustmentFigures, StandardFigure, as_plain_data
 from termsel.data.record.record import FitRecord
 from termsel.fitting.fit import Fit
 from termsel.io.result_folder import read_result, write_result
@@ -157,8 +157,9 @@ def test_auto_on_odd_data_is_read_again(kind: str, tmp_path: Path) -> None:
 
 def _recorded(fitted: Fit) -> Fit:
     """Return a fit after its way through JSON."""
-    how = msgspec.json.decode(msgspec.json.encode(plain(fit_record(fitted))), type=FitRecord)
-    figures = msgspec.convert(plain(adjustment_figures(fitted)), AdjustmentFigures)
+    how = msgspec.json.decode(msgspec.json.encode(as_plain_data(fit_record(fitted))),
+                              type=FitRecord)
+    figures = msgspec.convert(as_plain_data(adjustment_figures(fitted)), AdjustmentFigures)
     numbers = json.loads(json.dumps(fitted.coefficients))
     deviations = {name: value if np.isfinite(value) else None
                   for name, value in fitted.standard_deviations.items()}
@@ -201,5 +202,5 @@ def test_every_candidate_is_the_same_again(name: str, features: FeatureSet) -> N
 
 def test_text_that_is_not_utf_8_and_numbers_that_are_none_are_json() -> None:
     part = StandardFigure(float("nan"), "p\udcff.csv")
-    assert json.loads(json.dumps(plain(part), allow_nan=False)) == {
+    assert json.loads(json.dumps(as_plain_data(part), allow_nan=False)) == {
         "value": None, "reason": "p\udcff.csv"}

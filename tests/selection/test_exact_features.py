@@ -13,7 +13,7 @@ import pytest
 
 import termsel
 from termsel.data.features import FeatureSet
-from termsel.data.record.figures import plain
+from termsel.data.record.figures import as_plain_data
 from termsel.selection.best_subsets.features.walk import Branch, RowSystem, Selections
 from termsel.selection.solvers.proofs.exact_features import duration, prove_features, selections_of
 
@@ -132,7 +132,7 @@ def test_m_of_n_points_are_those_of_brute_force(scene: FeatureSet) -> None:
            if role == "control"]
     assert result.selection.features == tuple(ids[i] for i in best)
     assert result.objectives["check-rmse"] == pytest.approx(each[best], rel=1e-7)
-    assert plain(result.certificate) == {
+    assert as_plain_data(result.certificate) == {
         "optimal": True, "subsets": 924, "bounded": 0, "of": 924, "gap": 0.0,
         "space": "all selections of 6 of 12 features", "bound": result.objectives["check-rmse"]}
     assert "Proven: no selection of 6 of 12 features has a better criterion (924 subsets " \
@@ -254,7 +254,7 @@ def test_that_nothing_is_feasible_is_proven(scene: FeatureSet) -> None:
     result = termsel.run("owdis-points", features=scene, model="affine", solver="exact",
                          options={"max_uncovered": 0.0, "max_features": 5, "blunders": "keep"})
     assert not result.feasible
-    assert plain(result.certificate) == {
+    assert as_plain_data(result.certificate) == {
         "optimal": False, "feasible": False, "subsets": 1586, "bounded": 0, "of": 1586,
         "space": "all selections of up to 5 of 12 features"}
 

@@ -12,7 +12,7 @@ import pytest
 
 import termsel
 from termsel.core.errors import TermselError
-from termsel.data.record.figures import plain
+from termsel.data.record.figures import as_plain_data
 from termsel.fitting.population import Fits
 from termsel.runs.searching import assessed
 from termsel.selection.best_subsets import descents as subset_descents
@@ -58,7 +58,7 @@ def test_exact_finds_what_brute_force_finds(case: str, dataset: str) -> None:
     space = "all selections" + (
         "" if most is None or most >= len(genes[0]) // len(task.problem.parts())
         else f" of up to {most} terms" + " an axis" * (case != "shared"))
-    assert plain(result.certificate) == {
+    assert as_plain_data(result.certificate) == {
         "optimal": True, "subsets": count(task.problem), "of": count(task.problem),
         "bounded": result.certificate.bounded, "space": space, "bound": optimum,
         "gap": 0.0}
@@ -207,7 +207,7 @@ def test_an_interrupted_proof_proves_nothing_but_has_the_best_so_far() -> None:
     assert not found.certificate["optimal"]
     assert found.certificate["subsets"] < found.certificate["of"]
     result = assessed(task, found)
-    assert plain(result.certificate) == found.certificate
+    assert as_plain_data(result.certificate) == found.certificate
     assert not result.front
     assert not all(one.optimal for one in result.by_size)
     assert re.search(r"^Pareto front\n.* best of its size$", result.summary(verbose=True),

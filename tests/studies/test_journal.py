@@ -19,7 +19,7 @@ import pytest
 
 import termsel
 from termsel import TermselError
-from termsel.core.files.lock import holder, locked
+from termsel.core.files.lock import holder, lock_folder
 from termsel.core.files.names import JOURNAL
 from termsel.studies.cells.cell import Cell
 from termsel.studies.cells.folder import PLAN
@@ -182,7 +182,7 @@ def test_a_second_process_is_refused_with_the_name_of_the_first(
     out = tmp_path / "out"
     assert call("compare", study, "--out", out).exit_code == 0
     assert holder(out) is None
-    with locked(out):
+    with lock_folder(out):
         done = call("compare", study, "--out", out)
         status = call("compare", "--status", out)
     assert done.exit_code == 2

@@ -25,7 +25,7 @@ from termsel import (
     write_points_csv,
 )
 from termsel.testing import invoke
-from termsel.toolkit.runs import Request, prepared
+from termsel.toolkit.runs import Request, task_of
 from termsel_studies import frequencies as module
 from termsel_studies import stability
 
@@ -228,9 +228,9 @@ def test_twins_share_a_role_in_every_repetition(monkeypatch: pytest.MonkeyPatch)
 
     def recorded(request: Request) -> Any:
         drawn.append(dict(zip(request.features.ids, request.features.points.roles, strict=True)))
-        return prepared(request)
+        return task_of(request)
 
-    monkeypatch.setattr(module, "prepared", recorded)
+    monkeypatch.setattr(module, "task_of", recorded)
     stability("rfm-terms", features=FeatureSet(points.join(twins)), **QUICK)
     assert len(drawn) == 5
     for roles in drawn:

@@ -23,7 +23,6 @@ from termsel.auto.rule import (
     PRIOR_MARGIN,
     Choice,
     best_of,
-    contained,
     fit_to_beat,
     folds_along,
     folds_of,
@@ -31,12 +30,19 @@ from termsel.auto.rule import (
     gain_of,
     has_pole,
     held_out_lines,
+    is_contained,
     method_of,
     standard_errors,
 )
 from termsel.core.errors import TermselError
 from termsel.core.isolation.arrays import of_shape, of_type
-from termsel.core.isolation.faults import HINT, PluginFault, blamed, is_own, wrong
+from termsel.core.isolation.faults import (
+    HINT,
+    PluginFault,
+    attribute_errors_to,
+    fault_of_method,
+    is_own,
+)
 from termsel.data.coordinates.places import Lattice, ground_centres, spatial_order
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray, no_lines
 from termsel.data.fit_data import FitData, carriers
@@ -159,12 +165,12 @@ class Auto(Method):
         if method.name in self.faults:
             return None
         try:
-            with blamed(method, hook):
+            with attribute_errors_to(method, hook):
                 answer = call()
             answer = bool(answer) if isinstance(answer, np.bool_) else answer
             fault = answer is not None and of_type(answer, _HOOK_TYPES[hook])
             if fault:
-                raise wrong(method, hook, fault)
+                raise fault_of_method(method, hook, fault)
         # Not determined is an answer: the method has nothing to say of these features.
         except Undetermined:
             return None
@@ -237,7 +243,7 @@ class Auto(Method):
                 None if isinstance(getattr(fitted.estimator, "name", None), str) else
                 "returned a fit by an estimator without a name, by which a result is read again")
             if fault is not None:
-                self.faults[method.name] = wrong(method, "held_out", fault)
+                self.faults[method.name] = fault_of_method(method, "held_out", fault)
                 return None
         return fitted
 
@@ -269,7 +275,7 @@ class Auto(Method):
                                                          key=lambda method: -len(method.contains))
         for method in order:
             called_for = fits.keys() >= set(method.needs) and (
-                with_contained or not contained(method, fits.values()))
+                with_contained or not is_contained(method, fits.values()))
             fitted = self.validated(method, data) if called_for else None
             if fitted:
                 fits[method.name] = fitted
@@ -295,10 +301,10 @@ class Auto(Method):
         Raises TermselError where the method says what the user must say first.
         """
         try:
-            with blamed(method, "settles"):
+            with attribute_errors_to(method, "settles"):
                 reason = method.settles(data)
             if reason is not None and (fault := of_type(reason, str)):
-                raise wrong(method, "settles", fault)
+                raise fault_of_method(method, "settles", fault)
         except PluginFault as fault:
             self.faults[method.name] = fault
             return None
@@ -366,7 +372,7 @@ class Auto(Method):
         def may_be_chosen(method: Method) -> bool:
             """Return whether a method can be the choice for some part of the features."""
             # What others contain, or what needs others, is fitted in parts only where these say so.
-            if contained(method, priors) or not is_near.keys() >= set(method.needs):
+            if is_contained(method, priors) or not is_near.keys() >= set(method.needs):
                 return True
             if method.name in is_near:
                 return is_near[method.name]

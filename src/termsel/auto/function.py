@@ -15,7 +15,7 @@ import numpy as np
 from termsel.auto.refits import held_out_by_refits
 from termsel.core.errors import TermselError
 from termsel.core.isolation.arrays import of_shape
-from termsel.core.isolation.faults import blamed, wrong
+from termsel.core.isolation.faults import attribute_errors_to, fault_of_method
 from termsel.data.features import BoolArray, FeatureSet, FloatArray
 from termsel.data.fit_data import FitData
 from termsel.data.scaling import Scaling
@@ -45,10 +45,10 @@ class _Projects(Polynomial):
         projection = self.projection
         assert scaling is not None
         assert projection is not None
-        with blamed(projection, "project"):
+        with attribute_errors_to(projection, "project"):
             positions = np.asarray(projection(scaling.unscaled(ground)), dtype=np.float64)
         if fault := of_shape(positions, (len(ground), 2), finite=False):
-            raise wrong(projection, "project", fault)
+            raise fault_of_method(projection, "project", fault)
         image = scaling.image(positions)
         return np.broadcast_to(image, (*coefficients.shape[:-1], *image.shape)).copy()
 
@@ -141,13 +141,14 @@ class FunctionMethod(Method):
         Raises PluginFault where the function fails, or its value cannot project.
         """
         features = data.features
-        with blamed(self.function, "fit"):
+        with attribute_errors_to(self.function, "fit"):
             returned = self.function(features)
         # An object with a method `project`, or the function itself.
         projection = getattr(returned, "project", returned)
         if not callable(projection):
-            raise wrong(self.function, "fit", f"returned {type(returned).__name__}, which projects "
-                        "nothing")
+            raise fault_of_method(self.function, "fit",
+                                  f"returned {type(returned).__name__}, which projects "
+                                  "nothing")
         model: _Projects = OfFunction() if data.heights else OfPlaneFunction(degree=1)
         model.projection = projection
         terms = np.ones(len(model.terms), dtype=bool)

@@ -188,7 +188,7 @@ def method_of(fitted: Fit) -> Method:
     return fitted.method
 
 
-def contained(method: Method, fits: Iterable[Fit]) -> bool:
+def is_contained(method: Method, fits: Iterable[Fit]) -> bool:
     """Return whether the method of some fit has a prior, and this method as a limit."""
     return any(method_of(fitted).has_prior and method.name in method_of(fitted).contains
                for fitted in fits)
@@ -210,11 +210,12 @@ def best_of(fits: Iterable[Fit], describe: Describe = lambda _: None) -> Choice 
                       SMALLEST_RMSE_REASON) if compared else None
     base, reasons = fit_to_beat(priors)
     alternatives = [fitted for fitted in compared if not (
-        method_of(fitted).has_prior or contained(method_of(fitted), priors))]
+        method_of(fitted).has_prior or is_contained(method_of(fitted), priors))]
     rivals = [
         base,
         *(alternative
-          for alternative in alternatives if gain(alternative, base) > required(alternative, base)
+          for alternative in alternatives if gain(alternative, base) > required_gain(alternative,
+                                                                                     base)
           or is_supported_and_smaller(alternative, base))
     ]
     chosen = min(rivals, key=beyond_rounding)
@@ -254,7 +255,7 @@ def base_is_limit(method: Method, wider_method: Method) -> bool:
     return method.name in wider_method.contains
 
 
-def required(fitted: Fit, base: Fit) -> float:
+def required_gain(fitted: Fit, base: Fit) -> float:
     """Return by how many standard errors a method that no prior contains must be better."""
     if method_of(base).from_one > method_of(fitted).from_one:
         # Four points leave one equation of a camera of which nothing is known: its errors without
@@ -299,7 +300,7 @@ def _reason_for_choice(chosen: Fit, base: Fit, reasons: Sequence[str], alternati
     if alternatives:
         nearest = chosen if chosen is not base else max(
             alternatives, key=lambda fitted: gain(fitted, base))
-        margin = required(nearest, base)
+        margin = required_gain(nearest, base)
         smaller = ""
         if nearest is not chosen and gain(nearest, base) > margin:
             smaller = " and have a smaller RMSE"

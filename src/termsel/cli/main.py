@@ -24,7 +24,7 @@ import click
 from termsel.cli.messages import echo, give_back_stdout, stdout, take_stdout
 from termsel.cli.usage import usage_message
 from termsel.core.errors import TermselError, cut, is_printable, unknown_name
-from termsel.core.interrupts import INTERRUPTED, answered
+from termsel.core.interrupts import INTERRUPTED, take_pending_interrupt
 from termsel.core.version import __version__
 from termsel.plugins.commands import COMMANDS, GROUPS, PACKAGES
 
@@ -170,7 +170,7 @@ class Commands(click.Group):
             echo(cut(usage_message(error), 2000), err=True)
             sys.exit(CORRECTABLE)
         except (click.Abort, KeyboardInterrupt):
-            answered()
+            take_pending_interrupt()
             echo("Interrupted.", err=True)
             sys.exit(INTERRUPTED)
         sys.exit(value if isinstance(value, int) else 0)
@@ -281,11 +281,11 @@ def _blaming(command: click.Command) -> click.Command:
         except Exception as error:
             if isinstance(error, OSError) and error.errno in _UNWRITABLE:
                 raise  # stdout, which is closed or full
-            from termsel.core.isolation.faults import distribution_of, failed, package_of
+            from termsel.core.isolation.faults import distribution_of, fault_of_error, package_of
 
             package = package_of(command.callback)
             failure = f"the command {command.name!r} of {distribution_of(package)} failed"
-            raise failed(error, failure, package) from error
+            raise fault_of_error(error, failure, package) from error
 
     command.invoke = blaming  # type: ignore[method-assign]
     return command

@@ -36,9 +36,9 @@ def report(folder: Path, output: Path | None, image: str | None, overwrite: bool
       termsel report result -o report.html --image scene.tif
       termsel report study --overwrite
     """
-    from termsel.core.files.names import JOURNAL, inside, is_there
+    from termsel.core.files.names import JOURNAL, is_there, path_inside
 
-    output = inside(folder, REPORT) if output is None else output
+    output = path_inside(folder, REPORT) if output is None else output
     refuse_stdout(output)
     show_messages()
 

@@ -164,7 +164,7 @@ def _likely_names(name: str, names: Sequence[str]) -> list[str]:
     return [by_small_letters[known] for known in near[:3]]
 
 
-def raised(error: BaseException) -> str:
+def exception_in_words(error: BaseException) -> str:
     """Return type and message of an exception in one line."""
     # Not str(error), which may itself raise in an exception of a plugin.
     message = str(TracebackException(type(error), error, None))

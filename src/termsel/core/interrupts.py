@@ -26,13 +26,13 @@ def end_at_once() -> None:
     """
     if signal.getsignal(signal.SIGINT) in (signal.default_int_handler, _interrupt):
         signal.signal(signal.SIGINT, leave)
-    answered()
+    take_pending_interrupt()
 
 
 def leave(_number: int = signal.SIGINT, _frame: FrameType | None = None) -> NoReturn:
     """Print "Interrupted." on stderr and end the program at once, with the code `INTERRUPTED`."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    answered()
+    take_pending_interrupt()
     try:
         os.write(2, b"Interrupted.\n")
     finally:
@@ -52,7 +52,7 @@ def end() -> NoReturn:
 
 
 def watch() -> None:
-    """Raise KeyboardInterrupt at Ctrl-C, and again and again until it is `answered`.
+    """Raise KeyboardInterrupt at Ctrl-C, and again until it is taken (`take_pending_interrupt`).
 
     For programs, not for libraries: it takes the signals SIGINT and, where there is one, SIGALRM.
     Nothing is changed where Ctrl-C is ignored, as by nohup.
@@ -77,7 +77,7 @@ def _print_unraisable(unraisable: sys.UnraisableHookArgs) -> None:
         sys.__unraisablehook__(unraisable)
 
 
-def answered() -> bool:
+def take_pending_interrupt() -> bool:
     """Return whether Ctrl-C came and nothing has handled it yet; asking handles it."""
     if sys.platform == "win32" or signal.getsignal(signal.SIGALRM) is not _interrupt:
         return False

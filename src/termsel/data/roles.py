@@ -11,7 +11,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from termsel.core.errors import TermselError, first_of, unknown_name
-from termsel.core.isolation.faults import blamed, wrong
+from termsel.core.isolation.faults import attribute_errors_to, fault_of_method
 from termsel.data.coordinates.crs import LOCAL
 from termsel.data.coordinates.longitudes import on_globe, without_jump
 from termsel.data.coordinates.places import Lattice, lattice_of, spatial_order
@@ -82,7 +82,7 @@ def _pairs_nearby(positions: FloatArray) -> IntArray:
     return np.asarray(KDTree(positions).query_pairs(1.0, output_type="ndarray"))
 
 
-def merged(features: FeatureSet) -> FeatureSet:
+def with_merged_twins(features: FeatureSet) -> FeatureSet:
     """Return features in which twins count as one point, at their mean; lines stay as they are.
 
     Each group has the id, the role and the attributes of its first point. Its sigma is the mean,
@@ -167,12 +167,13 @@ class Split:
 
         Raises PluginFault, naming the plugin, if it assigns other than one role each.
         """
-        with blamed(self.assign, "assign"):
+        with attribute_errors_to(self.assign, "assign"):
             assigned = self.assign(ids, ground.copy(), shares.copy(), rng)
         if isinstance(assigned, str) or not isinstance(assigned, Sequence | np.ndarray) \
                 or len(assigned) != len(ids) or not set(map(str, assigned)) <= set(ASSIGNABLE):
-            raise wrong(self.assign, "assign", f"returned {assigned!r:.200}; expected a role for "
-                        f"each of {len(ids)} points: {', '.join(ASSIGNABLE)}")
+            raise fault_of_method(self.assign, "assign",
+                                  f"returned {assigned!r:.200}; expected a role for "
+                                  f"each of {len(ids)} points: {', '.join(ASSIGNABLE)}")
         return tuple(map(str, assigned))
 
 
@@ -261,7 +262,7 @@ class Observations:
     @cached_property
     def pool(self) -> FitData:
         """The features among which a choice is made: those of `together`, twins merged."""
-        features = merged(self.together)
+        features = with_merged_twins(self.together)
         return (replace(self.joint, heights=self.heights) if features is self.together
                 else FitData.of(features, self.heights))
 

@@ -12,7 +12,7 @@ from termsel.adjustment.iterated import HALVINGS, ITERATIONS
 from termsel.adjustment.leave_out import IndependentPart, independent_parts, leave_one_out
 from termsel.adjustment.solve import Adjustment, solve
 from termsel.core.errors import TermselError, counted
-from termsel.core.isolation.faults import wrong
+from termsel.core.isolation.faults import fault_of_method
 from termsel.core.threads import one_blas_thread
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, no_points
 from termsel.data.scaling import Scaling, scaling_of
@@ -186,7 +186,8 @@ def _linearised_equations(model: SensorModel, features: FeatureSet,
     """Return the equations about a solution, of a model that has them."""
     equations = model.linearised(features, coefficients)
     if equations is None:
-        raise wrong(model, "linearised", "returned nothing; expected Equations, as it has a start")
+        raise fault_of_method(model, "linearised",
+                              "returned nothing; expected Equations, as it has a start")
     return equations
 
 

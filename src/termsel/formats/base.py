@@ -183,7 +183,7 @@ class Reader(Configurable, ABC):
             The same error, with its `file`, and without its `column`.
         """
         error.column = None  # of a table alone
-        return located(error, path)
+        return error_in_file(error, path)
 
 
 class Writer(Configurable, ABC):
@@ -248,8 +248,8 @@ class Writer(Configurable, ABC):
         """
 
 
-def located(error: TermselError, file: Path | None, line: int | None = None,
-            column: str | None = None) -> TermselError:
+def error_in_file(error: TermselError, file: Path | None, line: int | None = None,
+                  column: str | None = None) -> TermselError:
     """Return `error` with the place where it was found; line and column stay where not given."""
     # A copy, since an error may be kept and placed again by another caller.
     placed = copy(error)
@@ -380,7 +380,8 @@ def read_once(path: Path) -> Iterator[Path]:
             yield copy
         except TermselError as error:
             # The user knows the pipe, not the copy.
-            raise located(error, Path(str(error.file).replace(str(copy), str(path)))) from error
+            raise error_in_file(error,
+                                Path(str(error.file).replace(str(copy), str(path)))) from error
 
 
 def _unreadable(path: Path, error: OSError) -> TermselError:

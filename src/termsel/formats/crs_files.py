@@ -9,7 +9,7 @@ from termsel.core.errors import TermselError
 from termsel.core.files.names import is_there
 from termsel.data.coordinates.crs import normalise, short
 from termsel.data.rasters import open_raster
-from termsel.formats.base import located, read_head, read_text
+from termsel.formats.base import error_in_file, read_head, read_text
 from termsel.formats.readers.vector import is_vector, open_layer
 
 log = logging.getLogger(__name__)
@@ -98,4 +98,4 @@ def _normalised_crs(path: Path, text: str) -> str:
     try:
         return normalise(text)
     except TermselError as error:
-        raise located(error, path) from error
+        raise error_in_file(error, path) from error

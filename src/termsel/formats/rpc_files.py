@@ -18,7 +18,7 @@ from termsel.data.features import FeatureSet
 from termsel.data.fingerprints import is_cut, makers_of
 from termsel.data.rasters import open_raster, without_siblings
 from termsel.data.rpc import N_COEFFICIENTS, Rpc
-from termsel.formats.base import is_utf16, located, read_data, read_head, read_text
+from termsel.formats.base import error_in_file, is_utf16, read_data, read_head, read_text
 from termsel.formats.rpc_control import (
     control_group,
     control_lines,
@@ -109,7 +109,7 @@ def read_rpc(path: Path | str) -> Rpc:
         rpc = _rpc_of_head(path, head, name)
         return rpc if rpc.source else replace(rpc, source=path.name)
     except TermselError as error:
-        raise (error if error.file is not None else located(error, path)) from error
+        raise (error if error.file is not None else error_in_file(error, path)) from error
 
 
 def _file_and_name(path: Path) -> tuple[Path, str]:

@@ -6,7 +6,7 @@ import logging
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from termsel.core.display.quiet import quieted
+from termsel.core.display.quiet import quiet_logger
 from termsel.core.errors import TermselError
 from termsel.core.files.atomic import private_folder
 from termsel.core.files.names import is_there, refuse_link
@@ -59,7 +59,7 @@ def _files_left_alone(writer: Writer, result: Result, path: Path) -> list[Path]:
     siblings = [file for file in writer.files(path) if file != path and is_there(file)]
     if not siblings:
         return []
-    with private_folder() as folder, quieted("termsel", logging.CRITICAL):
+    with private_folder() as folder, quiet_logger("termsel", logging.CRITICAL):
         writer.write(result, folder / path.name)
         return [file for file in siblings if file.is_file() and (folder / file.name).is_file()
                 and file.read_bytes() == (folder / file.name).read_bytes()]

@@ -28,7 +28,7 @@ from termsel.data.features import FeatureSet, no_lines, no_points
 from termsel.data.georeferenced import warn_of_map
 from termsel.data.rpc import Rpc
 from termsel.data.tables.columns import LINES, OPTIONAL, POINTS, columns_text
-from termsel.formats.base import Reader, is_utf16, located, read_head, read_once, utf16_error
+from termsel.formats.base import Reader, error_in_file, is_utf16, read_head, read_once, utf16_error
 from termsel.formats.crs_files import crs_next_to, say_other_crs, stated_crs
 from termsel.formats.heights import with_heights
 from termsel.formats.image_origin import (
@@ -205,7 +205,7 @@ def read(
         features = _with_rpc_and_heights(features, dem, rpc, z_unit, image_part)
         return _with_packages(features, of_packages, image)
     except TermselError as error:
-        raise (located(error, Path(files[0])) if error.file is None else error) from error
+        raise (error_in_file(error, Path(files[0])) if error.file is None else error) from error
 
 
 def _options_of_image(path: Path, image: Path, readers: Sequence[type[Reader]],
@@ -275,7 +275,7 @@ def features_of(source: Any, crs: str | None = None,
     try:
         return with_z_unit(features, None)
     except TermselError as error:
-        raise located(error, Path(source)) from error
+        raise error_in_file(error, Path(source)) from error
 
 
 def _with_image_size(features: FeatureSet, image: Path | str | None, size: tuple[int, int] | None,
@@ -550,12 +550,14 @@ def _features_of_files(points: Path | None, lines: Path | None, *, areas: Path |
                 error.hint = f"{error.hint} Without --format the content tells the format."
             raise
     # Counted from the centre of the upper-left pixel from here on.
-    for path, reader in reader_of.items() if origin is not None else ():
+    for path, reader in reader_of.items():
+        if origin is None:
+            break
         try:
             sets[path] = origin(sets[path], states_own=reader.states_origin,
                                 default=reader.default_origin)
         except TermselError as error:
-            raise located(error, path) from error
+            raise error_in_file(error, path) from error
     for path, features in sets.items():
         _say_misspelt(path, features)
         if reader_of[path].areas or path == areas:
@@ -632,7 +634,7 @@ def _with_areas(features: FeatureSet, areas: FeatureSet, path: Path) -> FeatureS
         return features.with_(points=features.points.join(areas.points),
                               lines=features.lines.join(areas.lines))
     except TermselError as error:
-        raise located(error, path) from error
+        raise error_in_file(error, path) from error
 
 
 def _refuse_idle(options: Mapping[str, Any], reader_of: Mapping[Path, Reader]) -> None:
@@ -677,7 +679,7 @@ def _agreed_crs(sets: dict[Path, FeatureSet], stated: str | None) -> str:
         try:
             declared = normalise(crs)
         except TermselError as error:
-            raise located(error, path) from error
+            raise error_in_file(error, path) from error
         if agreed is None:
             agreed = declared
             source = str(path)

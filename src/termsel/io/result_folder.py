@@ -10,14 +10,14 @@ from itertools import product
 from pathlib import Path
 
 from termsel.core.errors import TermselError, first_of
-from termsel.core.files.atomic import encoded, private_folder, put_in_place, sync
-from termsel.core.files.lock import locked
+from termsel.core.files.atomic import private_folder, put_in_place, sync, utf8_bytes
+from termsel.core.files.lock import lock_folder
 from termsel.core.files.names import (
     CERTIFICATE,
     JOURNAL,
     STABILITY,
-    inside,
     is_there,
+    path_inside,
     refuse_link,
 )
 from termsel.core.files.texts import csv_table
@@ -27,7 +27,7 @@ from termsel.data.features import FeatureSet, no_lines, no_points
 from termsel.data.record.record import Record
 from termsel.data.roles import by_roles
 from termsel.data.rpc import Rpc
-from termsel.formats.base import located, parse_json, read_text
+from termsel.formats.base import error_in_file, parse_json, read_text
 from termsel.formats.readers.csv_tables import LinesCsv, PointsCsv, lines_text, points_text
 from termsel.io.result_of_record import AGAIN, record_from, result_from
 from termsel.results.result import Result, of_attributes, of_features, of_record
@@ -58,7 +58,7 @@ def names_of(features: FeatureSet) -> tuple[str, ...]:
 
 
 @contextmanager
-def claimed(folder: Path, *, overwrite: bool = False) -> Iterator[None]:
+def lock_output_folder(folder: Path, *, overwrite: bool = False) -> Iterator[None]:
     """Make the folder and keep other processes out of it, before a long search begins.
 
     Raises TermselError for a folder that cannot be made or written to, that another process is at
@@ -73,7 +73,7 @@ def claimed(folder: Path, *, overwrite: bool = False) -> Iterator[None]:
                            hint="Choose another --out.") from error
     if not os.access(folder, os.W_OK | os.X_OK):
         raise TermselError(f"cannot write to the folder {folder}", hint="Choose another --out.")
-    with locked(folder):
+    with lock_folder(folder):
         _refuse_taken(folder, overwrite)
         yield
 
@@ -124,7 +124,7 @@ def write_result(result: Result, folder: Path | str) -> None:
     True
     """
     folder = Path(folder)
-    files = {name: encoded(text) for name, text in _files(result).items()}
+    files = {name: utf8_bytes(text) for name, text in _files(result).items()}
     _put_in_place(folder)  # an earlier result, if that was interrupted
     try:
         # Wherever this is interrupted, `read_result` finds the earlier result or the new one: the
@@ -167,7 +167,7 @@ def _put_in_place(folder: Path) -> None:
             if file.name not in FILES:
                 raise TermselError("this file is not part of a result, and stays where it is",
                                    file=file, hint="Remove it, or choose another --out.")
-            put_in_place(inside(pending, file.name), inside(folder, file.name))
+            put_in_place(path_inside(pending, file.name), path_inside(folder, file.name))
         sync(folder)
         pending.rmdir()
     except OSError as error:
@@ -183,8 +183,8 @@ def _cannot_write(folder: Path, error: OSError) -> TermselError:
 def _path_of_file(folder: Path, name: str) -> Path:
     """Return the path of a file of the result: the pending one, if it is not yet in place."""
     # A result that was interrupted while it was put in place is read from where it is complete.
-    pending = inside(_pending(folder), name)
-    return pending if is_there(pending) else inside(folder, name)
+    pending = path_inside(_pending(folder), name)
+    return pending if is_there(pending) else path_inside(folder, name)
 
 
 def _pending(folder: Path) -> Path:
@@ -242,7 +242,7 @@ def read_result(folder: Path | str) -> Result:
             return result_from(record, features)
     # The file that was read is named where nothing nearer is.
     except TermselError as error:
-        raise (error if error.file is not None else located(error, path)) from error
+        raise (error if error.file is not None else error_in_file(error, path)) from error
 
 
 def results_within(folder: Path) -> list[str]:

@@ -13,9 +13,9 @@ from termsel.core.errors import TermselError, printable
 from termsel.core.files.mismatches import KINDS_OF_JSON, mismatch_in_words
 from termsel.core.version import __version__
 from termsel.data.features import FeatureSet
-from termsel.data.record.figures import plain
+from termsel.data.record.figures import as_plain_data
 from termsel.data.record.record import SCHEMA, PluginRecord, Record
-from termsel.data.roles import ASSIGNABLE, Observations, by_roles, merged
+from termsel.data.roles import ASSIGNABLE, Observations, by_roles, with_merged_twins
 from termsel.data.scaling import Scaling
 from termsel.fitting.figures import figures, in_role, number, residuals_of
 from termsel.fitting.fit import Estimator, Fit
@@ -42,7 +42,7 @@ def record_from(content: Any) -> Record:
                            hint="Repeat the run with this version, or read the result with the one "
                                 "that wrote it.")
     try:
-        return convert(plain(content), Record)  # 1e999 is a number to JSON, not to us
+        return convert(as_plain_data(content), Record)  # 1e999 is a number to JSON, not to us
     except RecursionError:
         raise TermselError("this result is damaged: it is nested too deeply", hint=AGAIN) from None
     except (ValidationError, UnicodeEncodeError) as error:  # keys may be no text at all
@@ -108,7 +108,7 @@ def _fit_of_selection(record: Record, model: SensorModel, observations: Observat
 def _made_of(features: FeatureSet, points: set[str], ids: tuple[str, ...]) -> FeatureSet:
     """Return some points with twins as one, and the lines among some ids."""
     lines = features.lines
-    chosen_features = merged(features.with_(
+    chosen_features = with_merged_twins(features.with_(
         points=features.points.take([name in points for name in features.points.ids]),
         lines=lines.take([name in ids for name in lines.ids])))
     if not set(chosen_features.ids) <= set(ids):

@@ -11,7 +11,7 @@ from msgspec import structs
 
 from termsel.core.errors import TermselError, first_of
 from termsel.data.features import Points
-from termsel.data.record.figures import plain
+from termsel.data.record.figures import as_plain_data
 from termsel.data.record.record import Record
 from termsel.formats.base import parse_json, read_text
 from termsel.formats.readers.csv_tables import PointsCsv
@@ -95,5 +95,6 @@ def _fit_of(record: Record) -> tuple[Any, ...]:
     if record.strategy is not None:
         # Auto fits to all control, so that its selection of features says nothing.
         selection = structs.replace(selection, features=(), n_features=0)
-    return (record.model, plain(selection), record.estimation.estimator, record.estimation.options,
+    return (record.model, as_plain_data(selection), record.estimation.estimator,
+            record.estimation.options,
             sorted(record.coefficients))

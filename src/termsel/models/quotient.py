@@ -22,7 +22,7 @@ from termsel.adjustment.iterated import Quotients, least_distances
 from termsel.adjustment.leave_out import IndependentPart, solve_parts
 from termsel.core.isolation.arrays import of_shape, of_type
 from termsel.core.isolation.calls import Check
-from termsel.core.isolation.faults import wrong
+from termsel.core.isolation.faults import fault_of_method
 from termsel.core.options import Option
 from termsel.data.coordinates.crs import is_geocentric
 from termsel.data.coordinates.places import spatial_order
@@ -142,10 +142,11 @@ class RationalModel(SensorModel):
             # Columns without names are numbered.
             names = self.column_names(block) or tuple(str(i) for i in range(width))
             if len(names) != width:
-                raise wrong(self, "column_names",
-                            f"names {len(names)} of {width} columns of {block!r}")
+                raise fault_of_method(self, "column_names",
+                                      f"names {len(names)} of {width} columns of {block!r}")
             if len(set(names)) < width:
-                raise wrong(self, "column_names", f"gives two columns of {block!r} one name")
+                raise fault_of_method(self, "column_names",
+                                      f"gives two columns of {block!r} one name")
             layout.append((block, slice(start, start + width), axis,
                            tuple(str(Term(AXES[axis], part, name)) for name in names)))
             start += width

@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 
 import pluggy
 
-from termsel.core.errors import raised, unknown_name
+from termsel.core.errors import exception_in_words, unknown_name
 from termsel.core.isolation.faults import (
     OWN,
     TooSlow,
@@ -104,7 +104,7 @@ def attempt(call: Callable[[], T], package: str = OWN, seconds: float | None = N
                 raise
             if os.environ.get("TERMSEL_DEBUG") == "1":
                 traceback.print_exc()
-            return None, raised(error)
+            return None, exception_in_words(error)
 
     limit = LIMIT if seconds is None else seconds
     try:

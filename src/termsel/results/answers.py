@@ -11,7 +11,14 @@ from collections.abc import Iterator
 
 from termsel.auto.auto import MAX_EXACT_POINTS
 from termsel.core.errors import counted, first_of, rounded
-from termsel.data.record.figures import Accuracy, InImage, OnGround, Predicted, RoleRmse, plain
+from termsel.data.record.figures import (
+    Accuracy,
+    InImage,
+    OnGround,
+    Predicted,
+    RoleRmse,
+    as_plain_data,
+)
 from termsel.data.record.record import Record
 from termsel.fitting.figures import LEAVE_ONE_OUT
 from termsel.results.accuracy import (
@@ -411,4 +418,5 @@ def _answer_on_repeating(record: Record, view: View | None) -> Iterator[Block]:
         *((plugin.name, plugin.version) for plugin in record.plugins.values()),
         ("system of this report", platform.system())])
     yield TableBlock("Checksums (SHA-256)", ("of", "checksum"), [
-        ("data as read", record.data.sha256), *plain(record.checksums).items()], folded=True)
+        ("data as read",
+         record.data.sha256), *as_plain_data(record.checksums).items()], folded=True)

@@ -9,7 +9,7 @@ from itertools import islice
 from typing import Any
 
 from termsel.core.errors import TermselError
-from termsel.core.isolation.faults import blamed, wrong
+from termsel.core.isolation.faults import attribute_errors_to, fault_of_method
 from termsel.results.blocks import (
     Block,
     Code,
@@ -104,7 +104,7 @@ def _checked_section(declared: ReportSection, result: Any) -> Section:
 
     Raises PluginFault for blocks that are none, and whatever the plugin raises.
     """
-    with blamed(declared.blocks, "blocks"):
+    with attribute_errors_to(declared.blocks, "blocks"):
         # A generator may have no end.
         blocks = tuple(islice(declared.blocks(result), _MAX_BLOCKS))
         section = Section(declared.title, blocks)
@@ -115,8 +115,9 @@ def _checked_section(declared: ReportSection, result: Any) -> Section:
             text_of(Document("", "", (), (section,)))
             return section
     kind = type(unknown[0]).__name__
-    raise wrong(declared.blocks, "blocks", f"returned an object of type {kind}; expected text, or "
-                "blocks such as TableBlock and Note")
+    raise fault_of_method(declared.blocks, "blocks",
+                          f"returned an object of type {kind}; expected text, or "
+                          "blocks such as TableBlock and Note")
 
 
 def measured(measure: Measure, result: Any) -> float | None:
@@ -125,7 +126,7 @@ def measured(measure: Measure, result: Any) -> float | None:
     Raises PluginFault, naming the plugin, for a figure that is no number.
     """
     # A fault is named with its plugin; the study goes on without the figure.
-    with blamed(measure.compute, "compute"):
+    with attribute_errors_to(measure.compute, "compute"):
         computed = measure.compute(result)
         value = float(computed)
     return value if math.isfinite(value) else None

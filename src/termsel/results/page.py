@@ -31,7 +31,7 @@ from termsel.results.blocks import (
 )
 from termsel.results.library import library
 from termsel.results.pictures import drawable
-from termsel.results.theme import dark_style, styled
+from termsel.results.theme import dark_style, with_theme
 
 MOST_COLUMNS = 7
 """Of a table on a narrow screen; one with more has its cells one below the other there."""
@@ -141,7 +141,7 @@ def _block(block: Block, specs: dict[str, Any]) -> str:
 def _chart_as_html(figure: Figure, specs: dict[str, Any]) -> str:
     """Return the place of a chart as HTML, and keep its specification."""
     # Charts are drawn by the browser from their specification, which is at the end of the page.
-    specs[figure.name] = styled(figure.chart).to_dict()
+    specs[figure.name] = with_theme(figure.chart).to_dict()
     ratio = figure.chart.width / figure.chart.height if figure.keeps_ratio else 0
     return (f'<figure id="{_html(figure.name)}"><h3>{_html(figure.title)}</h3>'
             f"<p class=\"look\">{_html(figure.look)}</p>"

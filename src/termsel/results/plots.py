@@ -14,7 +14,7 @@ from termsel.results.blocks import Figure
 from termsel.results.charts import bars, maps, search, terms
 from termsel.results.notebook import offline
 from termsel.results.pictures import picture
-from termsel.results.theme import require_altair, styled
+from termsel.results.theme import require_altair, with_theme
 from termsel.results.view import View
 
 
@@ -202,7 +202,7 @@ def chart(view: View, name: str) -> Any:
     caption = kind.caption(view)
     if name in LINKED:
         caption = f"{caption} {maps.cut_in_image(view)}".strip()
-    return offline(styled(kind.draw(view), kind.title, caption))
+    return offline(with_theme(kind.draw(view), kind.title, caption))
 
 
 class Plots:

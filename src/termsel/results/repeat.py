@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterator
 from itertools import chain
 
-from termsel.data.record.figures import Value, plain
+from termsel.data.record.figures import Value, as_plain_data
 from termsel.data.record.record import Record
 from termsel.selection.problems.recipes import Recipe
 from termsel.selection.solvers.base import GIVEN
@@ -57,13 +57,13 @@ def _command_arguments(record: Record) -> Iterator[str]:
             yield f"--{part_of_run} {shlex.quote(_full_name(record, part_of_run))}"
     yield from _settings(record)
     yield f"--seed {record.seed}"
-    for name, limit in plain(record.budget).items():
+    for name, limit in as_plain_data(record.budget).items():
         yield f"--{name} {limit:.12g}"
 
 
 def _settings(record: Record) -> Iterator[str]:
     """Yield the options of all parts of the run but those that follow from other arguments."""
-    options_by_owner = plain(record.options)
+    options_by_owner = as_plain_data(record.options)
     owners = Counter(chain.from_iterable(options_by_owner.values()))
     for owner, options in options_by_owner.items():
         # What is chosen automatically has no options but those of the data.

@@ -22,7 +22,7 @@ from termsel.core.files.names import is_there
 from termsel.data.features import FeatureSet, FloatArray
 from termsel.data.georeferenced import warn_of_map
 from termsel.data.locate import Surface
-from termsel.data.record.figures import plain
+from termsel.data.record.figures import as_plain_data
 from termsel.data.record.record import Checksums, Record
 from termsel.data.record.search import Member
 from termsel.data.roles import by_roles
@@ -155,7 +155,7 @@ class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, wea
             If a value of the record is out of its range.
         """
         # By way of JSON, so that it is the same when it is read again.
-        content = structs.asdict(convert(plain(record), Record))
+        content = structs.asdict(convert(as_plain_data(record), Record))
         content["checksums"] = None
         return cls(**content, fit=fit, final=final, features=features, residuals=residuals,
                    files=files or {})
@@ -178,18 +178,18 @@ class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, wea
         # The fields of a record alone: fits and features are in no file of JSON.
         fields = {name: getattr(self, name) for name in Record.__struct_fields__}
         record = Record(**fields)
-        return structs.replace(record, checksums=checksums_of(plain(record), self.features))
+        return structs.replace(record, checksums=checksums_of(as_plain_data(record), self.features))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content of result.json, without its checksums."""
         # Checksums are of what is written: of a dictionary they would say nothing.
-        content = plain(self.record)
+        content = as_plain_data(self.record)
         del content[SEALS]
         return content
 
     def to_json(self) -> str:
         """Return result.json as text: `to_dict` and its checksums."""
-        return json.dumps(plain(self.record), indent=1) + "\n"
+        return json.dumps(as_plain_data(self.record), indent=1) + "\n"
 
     def fit_of(self, member: Member) -> Fit:
         """Return the fit of a member of the front, or of the best selection of a size."""

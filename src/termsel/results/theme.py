@@ -51,7 +51,7 @@ def require_altair() -> Any:
     return altair
 
 
-def styled(chart: Any, title: str = "", look: str = "") -> Any:
+def with_theme(chart: Any, title: str = "", look: str = "") -> Any:
     """Return a chart in the common style, with its title and how to read it."""
     alt = require_altair()
     if title:

@@ -14,12 +14,12 @@ from termsel.auto.auto import MAX_EXACT_POINTS, Auto, minimal_fit, minimal_view
 from termsel.auto.compare import compare
 from termsel.auto.rule import Choice, folds_of, has_pole, method_of
 from termsel.core.errors import TermselError, counted
-from termsel.core.interrupts import answered
+from termsel.core.interrupts import take_pending_interrupt
 from termsel.data.features import FloatArray, Points, no_points, select
 from termsel.data.fit_data import FitData
 from termsel.data.record.figures import Predicted, determined_exactly
 from termsel.data.record.search import CandidateRow, SearchLimits, Strategy
-from termsel.data.roles import ASSIGNABLE, Observations, leave_out, merged, with_lines
+from termsel.data.roles import ASSIGNABLE, Observations, leave_out, with_lines, with_merged_twins
 from termsel.fitting.accuracy import (
     pixel_on_ground,
     predicted_between,
@@ -278,7 +278,7 @@ def _choose(clean: Observations, auto: Auto, watch: _Watch, seed: int) -> _Chose
         best = choice or auto.best_of(watch.fits)
         if best is None:
             raise
-        answered()
+        take_pending_interrupt()
         return _Chosen(best, exact=not is_enough, interrupted=True)
 
 
@@ -333,7 +333,7 @@ def _final_fit(fitted: Fit, points: Points, heights: bool, auto: Auto,
     further = points.take([role in ASSIGNABLE and name not in blunders
                            for name, role in zip(points.ids, points.roles, strict=True)])
     # Twins count once, as in the choice.
-    features = merged(control.with_(points=further))
+    features = with_merged_twins(control.with_(points=further))
     # A plane model must not be fitted to points whose heights do show.
     with_height = features.take(~np.isin(features.ids, features.without_height()))
     if len(features) == len(control) or (

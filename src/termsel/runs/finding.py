@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from termsel.core.isolation.faults import is_own
 from termsel.data.coordinates.crs import height_reference
-from termsel.data.coordinates.earth import place_of, swapped
+from termsel.data.coordinates.earth import place_of, swapped_axes
 from termsel.data.coordinates.plausible import note_on_mixed
 from termsel.data.features import select
 from termsel.data.record.figures import Predicted
@@ -80,7 +80,7 @@ def _what_was_read(request: Request, observations: Observations) -> WhatWasRead:
     lattice = observations.lattice
     return WhatWasRead(
         points=len(read.points), lines=len(read.lines.features),
-        without_height=len(read.without_height()), place=place_of(read), doubt=swapped(read),
+        without_height=len(read.without_height()), place=place_of(read), doubt=swapped_axes(read),
         left_out={reason: tuple(ids) for reason, ids in reasons.items() if ids},
         z_unit=read.z_unit,
         height_doubt=difference.sentence() if difference is not None

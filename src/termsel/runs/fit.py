@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 from termsel.core.errors import TermselError, unknown_name
-from termsel.core.isolation.faults import blamed
+from termsel.core.isolation.faults import attribute_errors_to
 from termsel.core.threads import one_blas_thread
 from termsel.data.features import FeatureSet
 from termsel.data.fit_data import FitData
@@ -93,7 +93,7 @@ def _fit_by_method(method: Method, features: FeatureSet) -> Fit:
     """Return the fit by a method that the user names."""
     # Check and independent points stay out, as in a run without them.
     data = FitData.of(control_of(_with_heights(features)))
-    with blamed(method, "fit"):
+    with attribute_errors_to(method, "fit"):
         reason = method.declines(data)
         if reason is not None:
             raise TermselError(reason, hint="Choose another method, such as regularised-cubic.")

@@ -15,7 +15,7 @@ from termsel.auto.function import FunctionMethod
 from termsel.auto.memory import Memory
 from termsel.core.errors import TermselError, counted, first_of, printable
 from termsel.core.isolation.arrays import of_type
-from termsel.core.isolation.faults import blamed, wrong
+from termsel.core.isolation.faults import attribute_errors_to, fault_of_method
 from termsel.core.options import SEED, Configurable, Option, by_part, resolve
 from termsel.data.datasets import DatasetSpec
 from termsel.data.features import FeatureSet
@@ -434,7 +434,7 @@ def split_of(of_data: Mapping[str, Any]) -> Split | None:
 
 def loaded(spec: DatasetSpec) -> FeatureSet:
     """Return the features of a data set; an error names the plugin it is of."""
-    with blamed(spec.load, "load"):
+    with attribute_errors_to(spec.load, "load"):
         features = spec.load()
     require_type(spec.load, "load", features, FeatureSet)
     return features
@@ -444,7 +444,7 @@ def require_type(function: Callable[..., Any], name: str, value: Any, expected: 
     """Raise PluginFault if a plugin's function returned another type than expected."""
     fault = of_type(value, expected)
     if fault is not None:
-        raise wrong(function, name, fault)
+        raise fault_of_method(function, name, fault)
 
 
 def _options_of_problem(recipe: Recipe, settings: Mapping[str, Any], criterion: Criterion,

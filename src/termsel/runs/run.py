@@ -19,7 +19,7 @@ from termsel.data.datasets import DatasetSpec
 from termsel.data.features import FeatureSet
 from termsel.data.rpc import Rpc
 from termsel.fitting.method import Method
-from termsel.io.result_folder import claimed, write_result
+from termsel.io.result_folder import lock_output_folder, write_result
 from termsel.io.spent import with_spent
 from termsel.models.base import SensorModel
 from termsel.plugins.registry import registry
@@ -31,9 +31,9 @@ from termsel.runs.request import auto_of, method_words, problem_for, request_of
 from termsel.runs.task import (
     Task,
     given_features,
-    prepared,
     request_of_method,
     require_alone,
+    task_of,
     task_of_method,
 )
 from termsel.runs.task_method import TaskMethod
@@ -170,13 +170,13 @@ def run(
             # A search judges by selection points; any other method takes them as control.
             if isinstance(method, TaskMethod):
                 sole_method = method
-                task = prepared(request_of(named, **of_data))
+                task = task_of(request_of(named, **of_data))
             else:
                 # The choice among all methods, or among one.
                 sole_method = auto_of(method, memory)
                 task = task_of_method(request_of_method(named, model=model, **of_data), sole_method)
         else:
-            task = prepared(request_of(named, features=features, **arguments))
+            task = task_of(request_of(named, features=features, **arguments))
             _warn_of_search(task, words, is_in_place_of_auto=strategy is None and problem is None)
     # The limits of a problem are those of its paper, where the user gives none.
     if not is_limited:
@@ -237,7 +237,7 @@ def _run_and_write(work: Callable[[], Result], out: Path | str | None, overwrite
 
     `longer` are the seconds that a run takes longer which compiles, if any.
     """
-    with nullcontext() if out is None else claimed(Path(out), overwrite=overwrite):
+    with nullcontext() if out is None else lock_output_folder(Path(out), overwrite=overwrite):
         if longer:
             log.info("Compiling: the first run on this machine takes some %d s longer.", longer)
         # The folder is claimed before the work, so that two runs never share it.

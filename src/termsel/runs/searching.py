@@ -19,10 +19,10 @@ from termsel.auto.refits import held_out_by_refits
 from termsel.auto.shrunken import RidgeByOrder
 from termsel.core.errors import TermselError, unknown_name
 from termsel.core.files.names import CERTIFICATE
-from termsel.core.isolation.faults import HINT, wrong
+from termsel.core.isolation.faults import HINT, fault_of_method
 from termsel.data.features import BoolArray, select
 from termsel.data.fit_data import FitData
-from termsel.data.record.figures import plain
+from termsel.data.record.figures import as_plain_data
 from termsel.data.record.search import Certificate, Member, SearchLimits, SizeRow
 from termsel.data.roles import Observations
 from termsel.fitting.figures import Baseline, Rmses, baseline, rmse_record
@@ -321,7 +321,7 @@ def _certificate(task: Task, search: SearchResult, fitted: Fit) -> Certificate |
     """
     # A certificate of the solver, or the gap to an optimum that enumeration proves quickly.
     content = _proof_or_gap(task, search, fitted)
-    return None if content is None else convert(plain(content), Certificate)
+    return None if content is None else convert(as_plain_data(content), Certificate)
 
 
 def _proof_or_gap(task: Task, search: SearchResult, fitted: Fit) -> Mapping[str, Any] | None:
@@ -392,5 +392,6 @@ def _mask(task: Task, names: tuple[str, ...], fitted: Iterable[str], kind: str) 
     names_fitted = set(fitted)
     if not names_fitted <= set(names):
         error = unknown_name(kind, min(names_fitted - set(names)), names)
-        raise wrong(task.problem, "decode", f"names an {error.what}", f"{error.hint} {HINT}")
+        raise fault_of_method(task.problem, "decode", f"names an {error.what}",
+                              f"{error.hint} {HINT}")
     return np.array([name in names_fitted for name in names], dtype=bool)

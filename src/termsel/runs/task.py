@@ -13,7 +13,7 @@ import numpy as np
 from termsel.auto.auto import Auto
 from termsel.core.display import Glance
 from termsel.core.errors import TermselError, counted, unknown_name
-from termsel.core.isolation.faults import blamed
+from termsel.core.isolation.faults import attribute_errors_to
 from termsel.data.coordinates.crs import LOCAL, normalise, to_wgs84
 from termsel.data.coordinates.height_units import FOOT, UNITS
 from termsel.data.coordinates.places import lattice_of
@@ -299,7 +299,7 @@ def prepare(
     (20, ('check-rmse',))
     """
     features, source = given_features(features, source, crs, columns)
-    return prepared(request_of(
+    return task_of(request_of(
         problem, features=features, dataset=dataset, source=source, model=model,
         solver=solver, criterion=criterion, options=options))
 
@@ -321,7 +321,7 @@ def given_features(features: Any, source: str | None, crs: str | None,
     return read if rpc is None else with_rpc(read, rpc), source or file
 
 
-def prepared(request: Request) -> Task:
+def task_of(request: Request) -> Task:
     """Return the task of a request, its problem built.
 
     Raises TermselError if the problem cannot be built from the features.
@@ -404,7 +404,7 @@ def _built(request: Request, inputs: ProblemData) -> Problem:
                            "coefficients cannot be shrunk",
                            hint="Leave out shrink=true, or choose another model.")
     build = request.recipe.build
-    with blamed(build, "build"):
+    with attribute_errors_to(build, "build"):
         problem = build(inputs)
     require_type(build, "build", problem, Problem)
     _refuse_foreign(request, problem)

@@ -11,7 +11,7 @@ from msgspec import ValidationError, convert
 
 from termsel.core.errors import TermselError
 from termsel.core.files.atomic import write_text
-from termsel.formats.base import located, parse_json, read_head, read_text
+from termsel.formats.base import error_in_file, parse_json, read_head, read_text
 from termsel.simulate.pushbroom import Pushbroom
 
 SCHEMA = "termsel-pushbroom-1"
@@ -134,4 +134,4 @@ def read_geometry(path: Path | str) -> Pushbroom:
     try:
         return geometry_from(text)
     except TermselError as error:
-        raise located(error, path) from error
+        raise error_in_file(error, path) from error

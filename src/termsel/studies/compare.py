@@ -14,7 +14,7 @@ import numpy as np
 from termsel.adjustment.kernels import needs_compilation
 from termsel.core.errors import TermselError, counted
 from termsel.core.files.atomic import private_folder
-from termsel.core.files.lock import locked
+from termsel.core.files.lock import lock_folder
 from termsel.core.files.names import JOURNAL
 from termsel.core.isolation.parts import part
 from termsel.core.options import options_of_file
@@ -259,7 +259,7 @@ def _open_journal(stack: ExitStack, folder: Path, current_versions: Mapping[str,
     except OSError as error:
         raise TermselError(f"cannot make the folder {folder}: {error.strerror}",
                            hint="Choose another --out.") from error
-    stack.enter_context(locked(
+    stack.enter_context(lock_folder(
         folder, "Wait for it, or choose another --out. "
                f"`termsel compare --status {folder}` shows how far it is."))
     # Whatever reads the folder would take it for the study, and the result would be hidden.

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from termsel.core.errors import TermselError, unknown_name
-from termsel.core.isolation.calls import unguarded
+from termsel.core.isolation.calls import without_guards
 from termsel.core.isolation.faults import TooSlow, within
 from termsel.core.options import Configurable
 from termsel.plugins.kinds import KINDS, summary
@@ -69,7 +69,7 @@ def require(condition: object, message: str) -> None:
         raise AssertionError(message)
 
 
-def refused(call: Callable[[], object], path: Path, content: str, unnoticed: str) -> None:
+def require_refused(call: Callable[[], object], path: Path, content: str, unnoticed: str) -> None:
     """Require that a call raises a TermselError that names a file.
 
     `content` says what is wrong with the file, `unnoticed` that nothing was raised; both are for
@@ -145,7 +145,7 @@ def _run_case(name: str, function: Callable[[Any], None], case: Case) -> None:
     """Run a check with one case, within its time; an AssertionError names both."""
     try:
         # The user of the plugin would see a warning such as "divide by zero".
-        with warnings.catch_warnings(), unguarded():
+        with warnings.catch_warnings(), without_guards():
             warnings.simplefilter("error", RuntimeWarning)
             # Made anew for each check: what one check leaves behind in an object is no fault of the
             # next.
@@ -221,7 +221,7 @@ def require_unchanged(arrays: Mapping[str, NDArray[Any]], method: str,
         require(np.array_equal(array, before[name]), f"{method} changes {name}; work on a copy")
 
 
-def pickled(item: Subject) -> Subject:
+def through_pickle(item: Subject) -> Subject:
     """Return a copy through pickle, as in another process."""
     try:
         # Studies send what they run to other processes.

@@ -20,9 +20,9 @@ from termsel.testing.cases import (
     declares,
     instance,
     label,
-    pickled,
     require,
     require_unchanged,
+    through_pickle,
 )
 from termsel.testing.scenes import imaged, seeded
 
@@ -80,7 +80,7 @@ def deterministic(criterion: Criterion) -> None:
     first = criterion.score(fits)
     # An equal object, and one that has been in another process.
     repeated = (criterion.score(fits), type(criterion)(**criterion.options).score(fits),
-                pickled(criterion).score(_noisy_fits(_masks())))
+                through_pickle(criterion).score(_noisy_fits(_masks())))
     require(all(np.array_equal(first, score) for score in repeated),
             "score() of the same fits differs from one call or object to the next")
 

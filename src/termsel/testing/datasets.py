@@ -7,7 +7,7 @@ from termsel.data.coordinates.plausible import check_ground
 from termsel.data.datasets import DatasetSpec
 from termsel.data.features import FeatureSet
 from termsel.results.result import of_features
-from termsel.testing.cases import Case, Suite, declares, pickled, require
+from termsel.testing.cases import Case, Suite, declares, require, through_pickle
 
 
 def loads_features(spec: DatasetSpec) -> None:
@@ -27,7 +27,7 @@ def ground_in_crs(spec: DatasetSpec) -> None:
 def alike_each_time(spec: DatasetSpec) -> None:
     """It loads the same features each time, and they survive pickle, as between processes."""
     first = _loaded(spec)
-    for second in (_loaded(spec), pickled(first)):
+    for second in (_loaded(spec), through_pickle(first)):
         # Compared by checksums, as arrays may hold NaN.
         require(of_features(first) == of_features(second),
                 "two calls of load() differ; draw random numbers from a generator with a seed")
@@ -51,7 +51,7 @@ SUITE = Suite((declares("datasets"), loads_features, ground_in_crs, alike_each_t
 def _loaded(spec: DatasetSpec) -> FeatureSet:
     """Return the features of a data set; raises AssertionError if it loads others than these."""
     features = spec.load()
-    # `pickled` takes the features there and back, as on their way to another process.
+    # `through_pickle` takes the features there and back, as on their way to another process.
     require(isinstance(features, FeatureSet),
             f"load() must return a FeatureSet, not {type(features).__name__}")
     return features

@@ -13,7 +13,7 @@ from termsel.data.features import FeatureSet, Points
 from termsel.data.fit_data import FitData
 from termsel.fitting.fit import Fit, HeldOut, Undetermined
 from termsel.fitting.method import Method
-from termsel.testing.cases import Case, Suite, check_declaration, pickled, require
+from termsel.testing.cases import Case, Suite, check_declaration, require, through_pickle
 from termsel.testing.scenes import seeded
 
 NOISE = 0.3
@@ -130,7 +130,7 @@ def holds_out(subject: Subject) -> None:
 def repeats(subject: Subject) -> None:
     """The same features give the same fit again, in another process too."""
     for control, fitted in subject.fits():
-        for copy in (subject.method, pickled(subject.method)):
+        for copy in (subject.method, through_pickle(subject.method)):
             # An equal fit gives the same coefficients to the last bit: the same operations in the
             # same order.
             refit = copy.fit(control)

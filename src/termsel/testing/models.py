@@ -16,7 +16,15 @@ from termsel.models.base import SensorModel
 from termsel.selection.criteria import CheckRmse
 from termsel.selection.problems.base import ProblemData
 from termsel.selection.problems.selection import SelectionProblem
-from termsel.testing.cases import Case, Suite, declares, label, pickled, require, require_unchanged
+from termsel.testing.cases import (
+    Case,
+    Suite,
+    declares,
+    label,
+    require,
+    require_unchanged,
+    through_pickle,
+)
 from termsel.testing.model_equations import (
     control_kinds,
     equations,
@@ -168,7 +176,7 @@ def picklable(model: SensorModel) -> None:
     """It works in another process."""
     coefficients = random_coefficients(model, seeded())
     ground = random_ground(seeded(), 9)
-    copy = pickled(model)
+    copy = through_pickle(model)
     require(copy.terms == model.terms and np.array_equal(copy.project(coefficients, ground),
                                                          model.project(coefficients, ground)),
             "the copy that another process gets projects otherwise")

@@ -14,7 +14,7 @@ from termsel.selection.criteria import CheckRmse
 from termsel.selection.problems.base import ProblemData
 from termsel.selection.problems.objectives import Objective, PopulationSelection
 from termsel.selection.problems.selection import SelectionProblem
-from termsel.testing.cases import Case, Suite, declares, pickled, require, require_unchanged
+from termsel.testing.cases import Case, Suite, declares, require, require_unchanged, through_pickle
 from termsel.testing.scenes import imaged, random_coefficients, seeded
 
 ALONE = (slice(0, 1), slice(3, 4), slice(-1, None))
@@ -43,7 +43,7 @@ def deterministic(objective: Objective) -> None:
     """The same selections get the same figures, here and in another process."""
     for selected in _selections():
         first = objective.score(selected)
-        for copy in (objective, pickled(objective)):
+        for copy in (objective, through_pickle(objective)):
             require(np.array_equal(copy.score(selected), first),
                     "score() of the same selections differs from one call or process to the next")
 

@@ -6,7 +6,7 @@ import math
 
 from termsel.results.extras import Measure, ReportSection, measured, section_of
 from termsel.results.result import Result
-from termsel.testing.cases import Case, Suite, declares, pickled, require
+from termsel.testing.cases import Case, Suite, declares, require, through_pickle
 from termsel.testing.writers import example_results
 
 
@@ -34,7 +34,7 @@ def same_again(item: ReportSection | Measure) -> None:
         # The whole content: a section may hold on to any part of it.
         before = result.to_json()
         first = _answer(item, result)
-        for copy in (item, pickled(item)):
+        for copy in (item, through_pickle(item)):
             require(_answer(copy, result) == first, "the same result gets another answer from one "
                                                      "call or process to the next")
         require(result.to_json() == before, "it changes the result; work on a copy")

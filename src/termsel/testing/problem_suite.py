@@ -13,7 +13,7 @@ from termsel.selection.problems.recipes import Recipe
 from termsel.selection.solvers.heuristics.swap import neighbours
 from termsel.selection.solvers.heuristics.yardsticks import RandomSearch
 from termsel.selection.solvers.search import search
-from termsel.testing.cases import Case, Suite, check_declaration, pickled, require
+from termsel.testing.cases import Case, Suite, check_declaration, require, through_pickle
 
 Make = Callable[[], Problem]
 
@@ -46,7 +46,7 @@ def deterministic(problem: Problem) -> None:
     """The same genes get the same evaluation, here and in another process."""
     genes = _individuals(problem)
     first = problem.evaluate(genes)
-    for repeated in (problem.evaluate(genes), pickled(problem).evaluate(genes)):
+    for repeated in (problem.evaluate(genes), through_pickle(problem).evaluate(genes)):
         _require_equal(first, repeated, "evaluate() of the same genes differs from one call or "
                                      "process to the next")
 

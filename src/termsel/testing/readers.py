@@ -12,7 +12,7 @@ import numpy as np
 from termsel.core.errors import TermselError
 from termsel.data.features import FeatureSet
 from termsel.formats.base import Reader
-from termsel.testing.cases import Case, Suite, declares, instance, label, refused, require
+from termsel.testing.cases import Case, Suite, declares, instance, label, require, require_refused
 
 HEAD = 65536
 """Bytes of a file that are shown to `sniff`."""
@@ -170,8 +170,8 @@ def _cuts(example: Example) -> list[int]:
 
 
 def _refused(example: Example, path: Path, description: str) -> None:
-    refused(lambda: example.reader.read(path), path, description,
-            "is read as if nothing were wrong")
+    require_refused(lambda: example.reader.read(path), path, description,
+                    "is read as if nothing were wrong")
 
 
 def _require_refused(example: Example, content: bytes, description: str) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from termsel.data.roles import Split
-from termsel.testing.cases import Case, Suite, declares, pickled, require, require_unchanged
+from termsel.testing.cases import Case, Suite, declares, require, require_unchanged, through_pickle
 from termsel.testing.scenes import numbered
 
 COUNTS = (1, 3, 12, 60)
@@ -24,7 +24,7 @@ def same_again(split: Split) -> None:
     for n in COUNTS:
         first = _assigned_roles(split, n, SHARES[0])
         require(_assigned_roles(split, n, SHARES[0]) == first
-                == _assigned_roles(pickled(split), n, SHARES[0]),
+                == _assigned_roles(through_pickle(split), n, SHARES[0]),
                 "assign() of the same points and seed differs; take all chance from rng")
 
 

@@ -18,7 +18,7 @@ from termsel.results.result import Result
 from termsel.runs.searching import assessed
 from termsel.runs.task import prepare
 from termsel.selection.solvers.search import search
-from termsel.testing.cases import Case, Suite, declares, instance, label, refused, require
+from termsel.testing.cases import Case, Suite, declares, instance, label, require, require_refused
 from termsel.testing.scenes import imaged, random_coefficients, seeded
 
 OLD = b"what was there before"
@@ -180,8 +180,8 @@ def example_results() -> tuple[Result, ...]:
 
 
 def _refused(export: Export, result: Result, path: Path, description: str) -> None:
-    refused(lambda: export.writer.write(result, path), path, description,
-            "goes unnoticed: write through termsel.core.files.atomic")
+    require_refused(lambda: export.writer.write(result, path), path, description,
+                    "goes unnoticed: write through termsel.core.files.atomic")
 
 
 def _require_old(path: Path, description: str) -> None:

@@ -15,14 +15,14 @@ from termsel.core.errors import unknown_name as unknown_name
 from termsel.core.files.atomic import private_folder as private_folder
 from termsel.core.files.atomic import write_bytes as write_bytes
 from termsel.core.files.atomic import write_text as write_text
-from termsel.core.files.lock import locked as locked
-from termsel.core.files.names import inside as inside
+from termsel.core.files.lock import lock_folder as lock_folder
+from termsel.core.files.names import path_inside as path_inside
 from termsel.core.files.names import refuse_link as refuse_link
 from termsel.core.files.names import require_regular as require_regular
 from termsel.core.files.texts import csv_table as csv_table
 from termsel.core.files.texts import unguarded as unguarded
 from termsel.core.files.texts import xml_document as xml_document
-from termsel.core.isolation.faults import blamed as blamed
+from termsel.core.isolation.faults import attribute_errors_to as attribute_errors_to
 from termsel.core.isolation.helper import modules_here as modules_here
 from termsel.core.isolation.helper import safe_start as safe_start
 from termsel.core.isolation.parts import Part as Part
@@ -33,7 +33,7 @@ from termsel.data.features import BoolArray as BoolArray
 from termsel.data.features import FloatArray as FloatArray
 from termsel.data.rasters import refuse_empty_giant as refuse_empty_giant
 from termsel.data.rasters import require_rasterio as require_rasterio
-from termsel.data.record.figures import plain as plain
+from termsel.data.record.figures import as_plain_data as as_plain_data
 from termsel.data.scaling import scaling_of as scaling_of
 from termsel.formats.base import parse_json as parse_json
 from termsel.formats.base import read_data as read_data

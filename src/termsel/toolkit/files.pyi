@@ -1,8 +1,8 @@
-from termsel.core.display.quiet import quieted as quieted
+from termsel.core.display.quiet import quiet_logger as quiet_logger
 from termsel.core.files.atomic import atomic_path as atomic_path
-from termsel.core.files.atomic import encoded as encoded
 from termsel.core.files.atomic import new_folder as new_folder
 from termsel.core.files.atomic import sync as sync
+from termsel.core.files.atomic import utf8_bytes as utf8_bytes
 from termsel.core.files.drivers import allowed_drivers as allowed_drivers
 from termsel.core.files.drivers import program_environment as program_environment
 from termsel.core.files.drivers import remote_allowed as remote_allowed
@@ -20,11 +20,11 @@ from termsel.core.files.texts import xml_attribute as xml_attribute
 from termsel.data.fingerprints import is_cut as is_cut
 from termsel.data.fingerprints import makers_of as makers_of
 from termsel.data.tables.tabular import TextArray as TextArray
-from termsel.data.tables.tabular import distinct as distinct
+from termsel.data.tables.tabular import distinct_names as distinct_names
 from termsel.formats.base import IMAGE_NAME as IMAGE_NAME
 from termsel.formats.base import LARGEST_IMAGE as LARGEST_IMAGE
+from termsel.formats.base import error_in_file as error_in_file
 from termsel.formats.base import image_of as image_of
-from termsel.formats.base import located as located
 from termsel.formats.base import read_head as read_head
 from termsel.formats.deviation import GDALWARP as GDALWARP
 from termsel.formats.deviation import places_of as places_of
@@ -51,5 +51,5 @@ from termsel.io.map_grid import map_crs as map_crs
 from termsel.io.plan import plan as plan
 from termsel.io.read import parts_of as parts_of
 from termsel.io.result_folder import RECORD as RECORD
-from termsel.io.result_folder import claimed as claimed
+from termsel.io.result_folder import lock_output_folder as lock_output_folder
 from termsel.io.result_folder import results_within as results_within

@@ -1,9 +1,9 @@
 from termsel.core.errors import GIS as GIS
-from termsel.core.errors import raised as raised
+from termsel.core.errors import exception_in_words as exception_in_words
 from termsel.core.interrupts import INTERRUPTED as INTERRUPTED
-from termsel.core.interrupts import answered as answered
+from termsel.core.interrupts import take_pending_interrupt as take_pending_interrupt
 from termsel.core.isolation.arrays import of_shape as of_shape
-from termsel.core.isolation.faults import wrong as wrong
+from termsel.core.isolation.faults import fault_of_method as fault_of_method
 from termsel.runs.exported_rpc import RPC_DOUBTS as RPC_DOUBTS
 from termsel.runs.exported_rpc import rpc_without_record as rpc_without_record
 from termsel.runs.finding import versions as versions
@@ -13,4 +13,4 @@ from termsel.runs.request import DATA_OPTIONS as DATA_OPTIONS
 from termsel.runs.request import Request as Request
 from termsel.runs.request import problem_for as problem_for
 from termsel.runs.request import request_of as request_of
-from termsel.runs.task import prepared as prepared
+from termsel.runs.task import task_of as task_of

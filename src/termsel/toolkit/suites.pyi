@@ -4,6 +4,6 @@ from termsel.testing.cases import Suite as Suite
 from termsel.testing.cases import declares as declares
 from termsel.testing.cases import instance as instance
 from termsel.testing.cases import label as label
-from termsel.testing.cases import pickled as pickled
 from termsel.testing.cases import require as require
 from termsel.testing.cases import require_unchanged as require_unchanged
+from termsel.testing.cases import through_pickle as through_pickle

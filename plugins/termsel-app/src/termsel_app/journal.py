@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from termsel import TermselError
-from termsel.toolkit import inside, locked, require_regular
+from termsel.toolkit import lock_folder, path_inside, require_regular
 from termsel_app.control import MAX_FEATURES, ControlFeatures, Patch, checked
 
 SCHEMA = "termsel-app-1"
@@ -76,9 +76,9 @@ def open_journal(folder: Path) -> Iterator[
     header yet (see `Journal.begin`). Nobody else can open it meanwhile. Raises TermselError if
     somebody has, if it cannot be read or written.
     """
-    with locked(folder, "Another `termsel app` has this session open: use its page, or choose "
+    with lock_folder(folder, "Another `termsel app` has this session open: use its page, or choose "
                         "another --out."):
-        path = inside(folder, JOURNAL_NAME)
+        path = path_inside(folder, JOURNAL_NAME)
         if path.exists():
             require_regular(path)
         try:
@@ -110,7 +110,7 @@ def _unless_empty(file: FileIO, path: Path) -> Iterator[None]:
 
 def header_of(folder: Path) -> dict[str, Any]:
     """Return the header of the session in a folder; raises TermselError if there is none."""
-    path = inside(folder, JOURNAL_NAME)
+    path = path_inside(folder, JOURNAL_NAME)
     require_regular(path)
     try:
         with open(path, "rb", buffering=0, opener=_without_links) as file:

@@ -18,7 +18,7 @@ import numpy as np
 
 from termsel import TermselError
 from termsel.toolkit import FloatArray, one_blas_thread, requires, safe_start
-from termsel.toolkit.files import quieted
+from termsel.toolkit.files import quiet_logger
 from termsel_bench.methods.base import Method
 from termsel_bench.scenes.base import BenchSet
 from termsel_bench.scenes.catalogue import simulated
@@ -99,7 +99,7 @@ def score(work: Work) -> Score:
                 len(bench_set.independent))
     start = time.process_time()
     try:
-        with quieted("termsel", logging.CRITICAL):
+        with quiet_logger("termsel", logging.CRITICAL):
             positions = method.positions(bench_set.features, bench_set.independent, SEED)
     except TermselError as error:
         return Score(*of_score, seconds=time.process_time() - start, why=str(error).split("\n")[0])
@@ -123,7 +123,7 @@ def _score_of_measured(method: Method, measured_set: MeasuredSet) -> Score:
     start = time.process_time()
     distances: list[float] = []
     try:
-        with quieted("termsel", logging.CRITICAL):
+        with quiet_logger("termsel", logging.CRITICAL):
             for seen, hidden in trials:
                 errors = method.positions(seen, hidden, SEED) - hidden.image
                 distances += np.hypot(*errors.T).tolist()

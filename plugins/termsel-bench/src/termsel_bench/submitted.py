@@ -12,7 +12,7 @@ from typing import Any
 
 from termsel import TermselError, __version__
 from termsel.toolkit import read_text
-from termsel.toolkit.runs import raised
+from termsel.toolkit.runs import exception_in_words
 from termsel_bench.methods.base import METHOD_KINDS, Method
 from termsel_bench.protocol import Score, scores
 from termsel_bench.scenes.catalogue import SETS, checksums
@@ -123,7 +123,8 @@ def _read(path: Path, packages: Sequence[str]) -> Submitted:
         raise refused(f"is no file of results of a benchmark: it has no {error.args[0]!r}"
                       ) from error
     except (OSError, ValueError, TypeError, AttributeError) as error:
-        raise refused(f"is no file of results of a benchmark: {raised(error)}") from error
+        reason = exception_in_words(error)
+        raise refused(f"is no file of results of a benchmark: {reason}") from error
     if method.kind not in METHOD_KINDS:
         raise refused(f"names a method of the kind {method.kind!r}")
     if method.kind == "package" and method.name not in packages:

@@ -11,9 +11,9 @@ from termsel.toolkit.suites import (
     declares,
     instance,
     label,
-    pickled,
     require,
     require_unchanged,
+    through_pickle,
 )
 from termsel_match.matchers import Matcher, Matches, Window, fault
 
@@ -85,7 +85,7 @@ def repeats(matcher: Matcher) -> None:
     """The same windows give the same matches again, in another process too."""
     first, second = _pair(0)
     once = _matched(matcher, first, second)
-    for same_matcher in (matcher, pickled(matcher)):
+    for same_matcher in (matcher, through_pickle(matcher)):
         repeated = _matched(same_matcher, first, second)
         require(np.array_equal(once.first, repeated.first)
                 and np.array_equal(once.second, repeated.second),

@@ -10,8 +10,8 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 
 from termsel import Evaluation, Generation, Problem, Solver, TermselError
-from termsel.toolkit import blamed
-from termsel.toolkit.runs import of_shape, wrong
+from termsel.toolkit import attribute_errors_to
+from termsel.toolkit.runs import fault_of_method, of_shape
 from termsel.toolkit.searches import SEGMENTS, AnySegment, Genes
 
 CHECK = "Check your optimiser: ask() and tell()."
@@ -87,24 +87,25 @@ def from_ask_tell(factory: Callable[[Problem, np.random.Generator], AskTell], *,
         segments: ClassVar[tuple[type[AnySegment], ...]] = SEGMENTS
 
         def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
-            with blamed(factory, factory_name, CHECK):
+            with attribute_errors_to(factory, factory_name, CHECK):
                 optimiser = factory(problem, rng)
             for index in itertools.count():
-                with blamed(optimiser, "ask", CHECK):
+                with attribute_errors_to(optimiser, "ask", CHECK):
                     candidates = optimiser.ask()
                     if candidates is None and index:
                         return
                     if candidates is None:
-                        raise wrong(optimiser, "ask", "returned None at once; expected genes, and "
-                                    "None where there are no more", CHECK)
+                        raise fault_of_method(optimiser, "ask",
+                                              "returned None at once; expected genes, and "
+                                              "None where there are no more", CHECK)
                     # One selection, or several; numbers that the genome rounds to its genes.
                     candidates = np.atleast_2d(np.asarray(candidates, dtype=float))
                 if fault := of_shape(candidates, (-1, problem.genome.size)):
-                    raise wrong(optimiser, "ask", fault, CHECK)
+                    raise fault_of_method(optimiser, "ask", fault, CHECK)
                 # Told are the genes that were evaluated, not those that were asked for.
                 genes = problem.genome.repair(candidates, rng)
                 evaluation = problem.evaluate(genes)
-                with blamed(optimiser, "tell", CHECK):
+                with attribute_errors_to(optimiser, "tell", CHECK):
                     optimiser.tell(genes, evaluation)
                 yield Generation(index, genes, evaluation)
 

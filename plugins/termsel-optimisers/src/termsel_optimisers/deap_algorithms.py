@@ -13,7 +13,7 @@ from deap import algorithms, base, tools
 from numpy.typing import NDArray
 
 from termsel import Evaluation, Generation, Option, Problem, Solver, TermselError
-from termsel.toolkit import blamed, modules_here
+from termsel.toolkit import attribute_errors_to, modules_here
 from termsel.toolkit.searches import SEGMENTS, OwnChance
 from termsel_optimisers.deap_toolbox import Individual, register, to_deap
 
@@ -140,7 +140,7 @@ def evolved(box: base.Toolbox, loop: Callable[..., Any], rng: np.random.Generato
     # A generator function that takes no ngen runs on; it is read step by step.
     steps = loop(individuals, box, **named) if "ngen" not in takes else None
     for index in itertools.count():
-        with blamed(loop, shown_name, CHECK), chance:
+        with attribute_errors_to(loop, shown_name, CHECK), chance:
             if steps is not None:
                 individuals = next(steps, None)
             else:

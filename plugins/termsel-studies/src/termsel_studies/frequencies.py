@@ -9,7 +9,14 @@ from typing import Any
 import numpy as np
 
 from termsel import Bits, FeatureSet, LeastSquares, Task, TermselError, search
-from termsel.toolkit import BoolArray, FloatArray, Progress, one_blas_thread, plain, scaling_of
+from termsel.toolkit import (
+    BoolArray,
+    FloatArray,
+    Progress,
+    as_plain_data,
+    one_blas_thread,
+    scaling_of,
+)
 from termsel.toolkit.models import (
     Rmse,
     Rmses,
@@ -22,7 +29,13 @@ from termsel.toolkit.models import (
     select,
     twins,
 )
-from termsel.toolkit.runs import answered, notebook_observer, prepared, recommended, request_of
+from termsel.toolkit.runs import (
+    notebook_observer,
+    recommended,
+    request_of,
+    take_pending_interrupt,
+    task_of,
+)
 from termsel.toolkit.searches import Observer
 
 
@@ -68,7 +81,7 @@ class Stability:
                 "frequency": dict(zip(self.terms, self.frequency.tolist(), strict=True)),
                 "n_terms": self.selections.sum(axis=1).tolist(),
                 "stable": list(self.stable), "determined": self.determined,
-                "rmse": plain(rmse_record(self.rmse)) if self.determined else None}
+                "rmse": as_plain_data(rmse_record(self.rmse)) if self.determined else None}
 
 
 @one_blas_thread
@@ -145,8 +158,8 @@ def stability(
         raise TermselError(f"{repeats} repetitions with the threshold {threshold} say nothing",
                            hint="Give at least 2 repetitions and a threshold above 0, up to 1.")
     parts = {"model": model, "solver": solver, "criterion": criterion}
-    task = prepared(request_of(problem, features=features, dataset=dataset, options=options,
-                               **parts))
+    task = task_of(request_of(problem, features=features, dataset=dataset, options=options,
+                              **parts))
     other_segments = {"features" if segment.name == "features" else "other values than terms"
                       for segment in task.problem.genome.segments
                       if segment.name == "features" or not isinstance(segment, Bits)}
@@ -166,7 +179,7 @@ def stability(
     interrupted = False
     for repetition in range(repeats):
         try:
-            redrawn = prepared(request_of(
+            redrawn = task_of(request_of(
                 problem, features=_with_drawn_roles(task, rng), dataset=dataset,
                 options={**fixed_options, "roles": "file"}, **parts))
             outcome = search(redrawn.problem, redrawn.solver, seed=seed + repetition,
@@ -185,7 +198,7 @@ def stability(
             # One selection has no frequencies.
             if len(rows) < 2:
                 raise KeyboardInterrupt
-            answered()
+            take_pending_interrupt()
             break
     selections = np.array(rows)
     is_stable = selections.mean(axis=0) >= threshold

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from termsel import Study, TermselError, read_result
 from termsel.toolkit import counted, write_text
-from termsel.toolkit.charts import Document, Figure, Section, page, save, styled, text_of
+from termsel.toolkit.charts import Document, Figure, Section, page, save, text_of, with_theme
 from termsel.toolkit.studies import IMAGES, folders_of, image_reasons
 from termsel_studies.figures import figures_of
 from termsel_studies.pages import latex, markdown, remarks_of, tables_of
@@ -155,7 +155,7 @@ def write(study: Study, folder: Path) -> list[Path]:
         path = folder / "figures" / f"{figure.name}.svg"
         path.parent.mkdir(exist_ok=True)
         try:
-            save(styled(figure.chart, figure.title, figure.look), path)
+            save(with_theme(figure.chart, figure.title, figure.look), path)
         except TermselError as error:
             # No chart takes the tables along.
             log.warning("%s", error)

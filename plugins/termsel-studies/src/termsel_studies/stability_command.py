@@ -47,7 +47,7 @@ def stability(repeats: int, threshold: float, **arguments: Any) -> None:
 
     from termsel import require_replaceable
     from termsel.toolkit import write_text
-    from termsel.toolkit.files import STABILITY, claimed
+    from termsel.toolkit.files import STABILITY, lock_output_folder
     from termsel.toolkit.runs import problem_for
     from termsel_studies import frequencies as module
 
@@ -59,8 +59,8 @@ def stability(repeats: int, threshold: float, **arguments: Any) -> None:
     if run_settings.out is not None:
         require_replaceable([run_settings.out / STABILITY], reads=run_settings.reads,
                             overwrite=run_settings.overwrite, makes_folder=True)
-        click.get_current_context().with_resource(claimed(run_settings.out,
-                                                          overwrite=run_settings.overwrite))
+        click.get_current_context().with_resource(lock_output_folder(run_settings.out,
+                                                                     overwrite=run_settings.overwrite))
     if run_settings.method is not None:
         raise TermselError("--method is for a model without a search, and this repeats a search",
                            hint="Leave --method out, or call termsel run.")

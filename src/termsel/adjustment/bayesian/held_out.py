@@ -115,7 +115,7 @@ def leave_each_point_out(line: AxisErrors, sample: AxisErrors, cells: WeightedCe
                               cells.log_evidence + figures[:, 6])
 
 
-def concatenated(batches: Sequence[HeldOutPredictions]) -> HeldOutPredictions:
+def concatenate_batches(batches: Sequence[HeldOutPredictions]) -> HeldOutPredictions:
     """Return the predictions of several batches of points as one."""
     if len(batches) == 1:
         return batches[0]

@@ -16,7 +16,7 @@ from termsel.adjustment.bayesian.held_out import (
     AxisErrors,
     HeldOutPredictions,
     WeightedCells,
-    concatenated,
+    concatenate_batches,
     leave_each_point_out,
     mean_probability,
 )
@@ -316,7 +316,7 @@ class Posterior:
     @cached_property
     def held_out(self) -> HeldOutPredictions:
         """The prediction of each point in use by all others."""
-        return concatenated([self.held_out_of(batch) for batch in self.batches])
+        return concatenate_batches([self.held_out_of(batch) for batch in self.batches])
 
     def held_out_of(self, batch: slice) -> HeldOutPredictions:
         """Return the prediction of some of the points in use, each by all others in use."""

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 
 @contextmanager
-def quieted(name: str, level: int) -> Iterator[None]:
+def quiet_logger(name: str, level: int) -> Iterator[None]:
     """Keep messages of a logger below a level from being shown during a block."""
     logger = logging.getLogger(name)
     before = logger.level

@@ -170,9 +170,9 @@ def write_bytes(path: Path | str, data: bytes) -> None:
 
 def write_text(path: Path | str, text: str) -> None:
     """Write text as UTF-8 with its line ends as they are, as `write_bytes`."""
-    write_bytes(path, encoded(text))
+    write_bytes(path, utf8_bytes(text))
 
 
-def encoded(text: str) -> bytes:
+def utf8_bytes(text: str) -> bytes:
     """Return UTF-8, in which names of files that are not UTF-8 have the bytes that they have."""
     return text.encode("utf-8", errors="surrogateescape")

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Literal
 
 from termsel.core.errors import TermselError
-from termsel.core.files.names import inside, open_inside, refuse_links
+from termsel.core.files.names import open_inside, path_inside, refuse_links
 
 LOCK = ".lock"
 
@@ -23,7 +23,8 @@ _HELD = (errno.EACCES, errno.EAGAIN, errno.EDEADLK)
 
 
 @contextmanager
-def locked(folder: Path, hint: str = "Wait for it, or choose another --out.") -> Iterator[None]:
+def lock_folder(folder: Path,
+                hint: str = "Wait for it, or choose another --out.") -> Iterator[None]:
     """Hold the lock of a folder; the system takes it away from a process that ends.
 
     Raises TermselError if another process holds it: which one, on which machine and since when; if
@@ -88,7 +89,7 @@ def end_turn(file: FileIO) -> None:
 
 def holder(folder: Path) -> str | None:
     """Return who is at work in a folder: process, machine and since when; None if nobody is."""
-    if not inside(folder, LOCK).exists():
+    if not path_inside(folder, LOCK).exists():
         return None
     with _opened_lock(folder, "r+b") as file:
         if _take_lock_of_folder(file, folder):

@@ -84,7 +84,7 @@ _HIDDEN = (".lock", ".termsel")
 """What hidden names of termsel in the folder of a result begin with."""
 
 
-def inside(folder: Path, name: str) -> Path:
+def path_inside(folder: Path, name: str) -> Path:
     """Return a file in a folder of a result, study or block, which is no link and no pipe.
 
     Only a name that the user types is followed to where it leads: a folder may have come with data.

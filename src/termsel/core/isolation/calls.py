@@ -8,7 +8,13 @@ from contextvars import ContextVar
 from functools import cached_property, wraps
 from typing import Any, ClassVar
 
-from termsel.core.isolation.faults import OWN, blamed, inside, package_of, wrong
+from termsel.core.isolation.faults import (
+    OWN,
+    attribute_errors_to,
+    fault_of_method,
+    package_of,
+    running_package,
+)
 
 Check = Callable[..., str | None]
 """Takes the object, what a method returned and the method's arguments; returns what is wrong with
@@ -18,7 +24,7 @@ _off: ContextVar[bool] = ContextVar("off", default=False)
 
 
 @contextmanager
-def unguarded() -> Iterator[None]:
+def without_guards() -> Iterator[None]:
     """Call plugins as they are, as the conformance suites do, which find more than the guard."""
     token = _off.set(True)
     try:
@@ -85,9 +91,9 @@ def _guard_of(name: str, function: Callable[..., Any], check: Check | None) -> C
     @wraps(function)
     def call(self: Any, *args: Any, **options: Any) -> Any:
         # A call from the same package needs no guard: who fails is told by the outermost alone.
-        if _off.get() or inside() == package_of(type(self)):
+        if _off.get() or running_package() == package_of(type(self)):
             return function(self, *args, **options)
-        with blamed(self, name):
+        with attribute_errors_to(self, name):
             value = function(self, *args, **options)
         return _check_returned(check, self, name, value, *args, **options)
 
@@ -99,7 +105,7 @@ def _check_returned(check: Check | None, plugin_object: Any, name: str, value: A
     """Return what a method returned or yielded; raise PluginFault if the check finds a fault."""
     fault = check(plugin_object, value, *args, **options) if check is not None else None
     if fault is not None:
-        raise wrong(plugin_object, name, fault)
+        raise fault_of_method(plugin_object, name, fault)
     return value
 
 
@@ -108,17 +114,17 @@ def _guard_of_iterator(name: str, function: Callable[..., Any],
     """Return the guard of a method that returns an iterator, each step of which is guarded."""
     @wraps(function)
     def call(self: Any, *args: Any, **options: Any) -> Any:
-        needs_no_guard = _off.get() or inside() == package_of(type(self))
+        needs_no_guard = _off.get() or running_package() == package_of(type(self))
         return (function if needs_no_guard else steps)(self, *args, **options)
 
     def steps(self: Any, *args: Any, **options: Any) -> Iterator[Any]:
         """Yield the values of a plugin's generator, each checked; its errors become PluginFaults.
         """
-        with blamed(self, name):
+        with attribute_errors_to(self, name):
             iterator = iter(function(self, *args, **options))
         try:
             while True:
-                with blamed(self, name):
+                with attribute_errors_to(self, name):
                     try:
                         value = next(iterator)
                     except StopIteration:
@@ -126,7 +132,7 @@ def _guard_of_iterator(name: str, function: Callable[..., Any],
                 yield _check_returned(check, self, name, value, *args, **options)
         finally:
             # A generator that is not run to its end frees what it holds; this may fail as well.
-            with blamed(self, name):
+            with attribute_errors_to(self, name):
                 getattr(iterator, "close", lambda: None)()
 
     return call

@@ -17,7 +17,7 @@ from importlib.metadata import PackageNotFoundError, packages_distributions, ver
 from types import TracebackType
 from typing import Any, TypeVar
 
-from termsel.core.errors import TermselError, raised
+from termsel.core.errors import TermselError, exception_in_words
 
 # Whose code is running: a plugin's calls of its own code are not guarded again.
 
@@ -26,7 +26,7 @@ T = TypeVar("T")
 _package: ContextVar[str | None] = ContextVar("package", default=None)
 
 
-def inside() -> str | None:
+def running_package() -> str | None:
     """Return the package whose code is being run, None outside any plugin."""
     return _package.get()
 
@@ -184,8 +184,8 @@ def named_function(kind: str, function: Any) -> str:
     return f"{kind} of {distribution_of(package_of(function))}"
 
 
-def wrong(definition: Any, method: str, fault: str, hint: str = HINT,
-          name: str = "") -> PluginFault:
+def fault_of_method(definition: Any, method: str, fault: str, hint: str = HINT,
+                    name: str = "") -> PluginFault:
     """Return the fault of a method, such as "score": what it returned, and what was expected.
 
     `fault` follows the name of the method in the message, such as "returned None". `name`, if any,
@@ -197,7 +197,8 @@ def wrong(definition: Any, method: str, fault: str, hint: str = HINT,
 
 
 @contextmanager
-def blamed(definition: Any, method: str, hint: str = HINT, name: str = "") -> Iterator[None]:
+def attribute_errors_to(definition: Any, method: str, hint: str = HINT,
+                        name: str = "") -> Iterator[None]:
     """Run code of a plugin; what it raises becomes its PluginFault, with the method named.
 
     termsel's own errors pass, such as a `TermselError` on a file that the user can correct. So does
@@ -217,16 +218,17 @@ def blamed(definition: Any, method: str, hint: str = HINT, name: str = "") -> It
         if isinstance(error, KeyboardInterrupt | MemoryError) or is_own(type(error)) \
                 or is_marked(error):
             raise
-        raise failed(error, f"{name or name_of(definition)} failed in {method}()", package,
-                     hint) from error
+        raise fault_of_error(error, f"{name or name_of(definition)} failed in {method}()", package,
+                             hint) from error
 
 
-def failed(error: BaseException, activity: str, package: str, hint: str = HINT) -> PluginFault:
+def fault_of_error(error: BaseException, activity: str, package: str,
+                   hint: str = HINT) -> PluginFault:
     """Return the fault of code that raised an exception, at the package's innermost line."""
     if os.environ.get("TERMSEL_DEBUG") == "1":
         traceback.print_exc()
     file, line = _innermost_line_of(error.__traceback__, package)
-    return PluginFault(f"{activity}: {raised(error)}", file=file, line=line, hint=hint)
+    return PluginFault(f"{activity}: {exception_in_words(error)}", file=file, line=line, hint=hint)
 
 
 def _innermost_line_of(trace: TracebackType | None, package: str) -> tuple[str | None, int | None]:

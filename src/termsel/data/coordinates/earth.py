@@ -61,12 +61,12 @@ def in_words(position: tuple[float, float]) -> str:
 def say_turned(features: FeatureSet) -> None:
     """Say so where axes look swapped, or where lines or samples are counted the other way."""
     if note := note_on_turned(features):
-        log.warning("%s: %s", "Warning" if swapped(features) else "Note", note)
+        log.warning("%s: %s", "Warning" if swapped_axes(features) else "Note", note)
 
 
 def note_on_turned(features: FeatureSet) -> str:
     """Return a note where axes look swapped or are counted the other way; "" where they are not."""
-    if doubt := swapped(features):
+    if doubt := swapped_axes(features):
         exchanging, exchanging_others = _exchange_option(doubt)
         location = place_of(features)
         standing = f" As they stand, x and y are near {location}." if location else ""
@@ -106,18 +106,18 @@ def unknown_crs(features: FeatureSet, may_turn: bool) -> TermselError:
     error.hint = f"{error.hint} They look like degrees: --crs {crs}."
     impossible = ("x and y look swapped: no latitude is beyond 90"
                   if np.abs(plane[:, 1]).max() > 90 else "")
-    if may_turn and (doubt := impossible or swapped(replace(features, crs=crs))):
+    if may_turn and (doubt := impossible or swapped_axes(replace(features, crs=crs))):
         error.options["--set"] = _exchange_option(doubt)[0]
         error.hint = f"{error.hint} {doubt[0].upper()}{doubt[1:]}."
     return error
 
 
 def _exchange_option(doubt: str) -> tuple[str, ...]:
-    """Return the --set option that exchanges the axes `swapped` names, then that of the others."""
+    """Return the --set option that exchanges what `swapped_axes` names, then that of the others."""
     return ("swapped=xy", "swapped=line-sample")[::-1 if doubt[0] == "l" else 1]
 
 
-def swapped(features: FeatureSet) -> str:
+def swapped_axes(features: FeatureSet) -> str:
     """Return which axes look swapped, and why; "" if none do.
 
     A mirror image about an axis is none: maps may count lines upwards, and radar images show what

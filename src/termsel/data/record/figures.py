@@ -42,7 +42,7 @@ class RecordPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_d
     """A part of the record. Keys with a default are left out where they have it."""
 
 
-def plain(record_part: Any) -> dict[str, Any]:
+def as_plain_data(record_part: Any) -> dict[str, Any]:
     """Return a part of the record as JSON has it: dicts, lists, text and numbers.
 
     NaN and infinity become None, numbers of numpy those of Python.

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import fields, replace
 from functools import cache
 from itertools import chain
 from types import MappingProxyType
-from typing import Any, Self, TypeVar
+from typing import Any, Self, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -36,7 +36,7 @@ _MAX_IN_PLACE = 3
 _CORRECT = "Correct the values or remove the feature."
 
 
-def frozen(values: ArrayLike, shape: tuple[int, ...], content: str) -> FloatArray:
+def read_only_array(values: ArrayLike, shape: tuple[int, ...], content: str) -> FloatArray:
     """Return values as an array that cannot be written to; refuse another shape."""
     array = np.array(values, dtype=np.float64)
     if array.shape != shape:
@@ -155,7 +155,7 @@ def _first_repeated_row(rows: FloatArray) -> tuple[int, int] | None:
     return (int(earlier[repeated[0]]), int(repeated[0])) if repeated.size else None
 
 
-def refused(name: str) -> str:
+def reason_to_refuse_id(name: str) -> str:
     """Return how an id is at fault, as the end of a sentence; "" if it is not."""
     # So that tables keep it, and a terminal shows it.
     if not name:
@@ -168,7 +168,7 @@ def refused(name: str) -> str:
 def check_ids(ids: Sequence[str], kind: str, *, unique: bool) -> None:
     """Refuse ids of points or lines, a `kind`, that break the rule, or are not `unique`."""
     for name in ids:
-        if wrong := refused(name):
+        if wrong := reason_to_refuse_id(name):
             raise TermselError(f"the id {cut(name, 40)!r} of a {kind} {wrong}", ids=[name],
                                hint="Give every feature a short id of letters, digits and signs.")
     twice = [name for name, count in Counter(ids).items() if count > 1] if unique else []
@@ -244,13 +244,13 @@ def rows_at(attributes: Attributes, index: NDArray[Any] | slice) -> Attributes:
     return MappingProxyType(rows)
 
 
-def joined(first: Attributes, n: int, second: Attributes, m: int) -> dict[str, TextArray]:
+def join_attributes(first: Attributes, n: int, second: Attributes, m: int) -> dict[str, TextArray]:
     """Return the columns of both tables, (n + m,), "" where one of them has no such column."""
     return {name: np.concatenate([_column(first, name, n), _column(second, name, m)])
-            for name in distinct([*first, *second])}
+            for name in distinct_names([*first, *second])}
 
 
-def distinct(names: Iterable[str]) -> list[str]:
+def distinct_names(names: Iterable[str]) -> list[str]:
     """Return names without repetitions in upper or lower case; the first spelling stays."""
     first_spelling: dict[str, str] = {}
     for name in names:
@@ -280,7 +280,7 @@ def columns_of(rows: Sequence[Mapping[str, str]]) -> dict[str, TextArray]:
     Of names that differ in upper and lower case alone, the first spelling stays.
     """
     columns = {}
-    for name in distinct(chain.from_iterable(rows)):
+    for name in distinct_names(chain.from_iterable(rows)):
         columns[name] = text_array([row.get(name, "") for row in rows])
     return columns
 
@@ -290,7 +290,7 @@ def all_rows(tables: Sequence[Attributes], rows: Sequence[int], name: str) -> Te
 
     Raises TermselError if none of them has it.
     """
-    names = distinct(chain.from_iterable(tables))
+    names = distinct_names(chain.from_iterable(tables))
     if name.casefold() not in map(str.casefold, names):
         raise unknown_name("column of attributes", name, names,
                            "It is a further column of the file of the features.")
@@ -367,8 +367,8 @@ class Tabular(Glance, Framed):
         ids = tuple(str(name).strip() for name in self.ids)  # as files hold them
         n = len(ids)
         checked: dict[str, Any] = {
-            "ids": ids, "image": frozen(self.image, (n, *ends, 2), f"image of {kind}s"),
-            "ground": frozen(self.ground, (n, *ends, 3), f"ground of {kind}s"),
+            "ids": ids, "image": read_only_array(self.image, (n, *ends, 2), f"image of {kind}s"),
+            "ground": read_only_array(self.ground, (n, *ends, 3), f"ground of {kind}s"),
             "attributes": as_attributes(self.attributes, n, *reserved)}
         for name, value in checked.items():
             object.__setattr__(self, name, value)
@@ -379,7 +379,7 @@ class Tabular(Glance, Framed):
             check_heights(self.ground[..., 2], ids, kind)
         if n and self.sigma is not None:
             # Line and sample of a point have deviations of their own, a line has one across it.
-            sigma = frozen(self.sigma, (n,) if ends else (n, 2), f"sigma of {kind}s")
+            sigma = read_only_array(self.sigma, (n,) if ends else (n, 2), f"sigma of {kind}s")
             object.__setattr__(self, "sigma", sigma)
             check_deviations(sigma, ids, kind)
 
@@ -447,14 +447,15 @@ class Tabular(Glance, Framed):
         return {
             "image": np.concatenate([self.image, further.image]),
             "ground": np.concatenate([self.ground, further.ground]), "sigma": sigma,
-            "attributes": joined(self.attributes, len(self), further.attributes, len(further)),
+            "attributes": join_attributes(self.attributes, len(self), further.attributes,
+                                          len(further)),
             **texts}
 
 
 @cache
-def _given_fields(kind: type) -> tuple[str, ...]:
+def _given_fields(kind: Hashable) -> tuple[str, ...]:
     """Return the names of the fields of points or lines; all else that they keep is derived."""
-    return tuple(column.name for column in fields(kind))
+    return tuple(column.name for column in fields(cast(type, kind)))
 
 
 def rows_of(ids: Sequence[str], index: ArrayLike) -> NDArray[np.intp]:

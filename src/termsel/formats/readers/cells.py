@@ -97,7 +97,7 @@ def read_cells(path: Path, aliases: Aliases, stated: Mapping[str, str], layer: s
     # Spreadsheets are known by their first bytes, whatever their name.
     if data.startswith(_SHEETS):
         return _sheet(path, aliases, stated, layer)
-    text, encoding = decoded(data, path)
+    text, encoding = decode(data, path)
     text = _with_header(text, aliases, stated)
     _refuse_wide(path, text)
     is_unicode = encoding.startswith("utf")
@@ -107,8 +107,8 @@ def read_cells(path: Path, aliases: Aliases, stated: Mapping[str, str], layer: s
     return replace(_without_crs_line(cells), notes=notes)
 
 
-def sniffed(path: Path, head: bytes, aliases: Aliases,
-            stated: Mapping[str, str]) -> list[list[str]]:
+def first_rows(path: Path, head: bytes, aliases: Aliases,
+               stated: Mapping[str, str]) -> list[list[str]]:
     """Return the first rows of a file, none where it is no table."""
     if head.startswith(_SHEETS):
         try:
@@ -116,7 +116,7 @@ def sniffed(path: Path, head: bytes, aliases: Aliases,
         except TermselError:
             return []
     try:
-        text, _ = decoded(head, path, final=False)
+        text, _ = decode(head, path, final=False)
     except TermselError:
         return []
     # XML or JSON, which other readers take or refuse.
@@ -127,7 +127,7 @@ def sniffed(path: Path, head: bytes, aliases: Aliases,
     return [_split_lines(line, delimiter) for line in _first_lines(text)]
 
 
-def decoded(data: bytes, path: Path, *, final: bool = True) -> tuple[str, str]:
+def decode(data: bytes, path: Path, *, final: bool = True) -> tuple[str, str]:
     """Return text, and its encoding: UTF-8, UTF-16, Windows-1252, or one that names show.
 
     If not `final`, `data` are the first bytes of more. Raises TermselError if they are no text.

@@ -13,7 +13,7 @@ from typing import Any
 from termsel.core.errors import TermselError
 from termsel.data.coordinates.crs import normalise
 from termsel.data.tables.tabular import is_free
-from termsel.formats.base import located, parse_json, read_text
+from termsel.formats.base import error_in_file, parse_json, read_text
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def read_geojson(path: Path, kinds: Mapping[str, int]) -> tuple[list[Feature], s
     try:
         collection = parse_json(read_text(path), "The file is incomplete or damaged: get it again.")
     except TermselError as error:
-        raise located(error, path) from error
+        raise error_in_file(error, path) from error
     if not isinstance(collection, dict) or not isinstance(collection.get("features"), list):
         raise TermselError("this is not a GeoJSON FeatureCollection", file=path,
                            hint='It must have the members "type" and "features".')
@@ -149,5 +149,5 @@ def _crs(path: Path, member: Any) -> str:
     try:
         return normalise(str(name))
     except TermselError as error:
-        raise located(error, path, column="crs") from error
+        raise error_in_file(error, path, column="crs") from error
 

@@ -15,7 +15,7 @@ from termsel.core.options import Option
 from termsel.data.features import FeatureSet, FloatArray, Lines
 from termsel.data.tables.columns import LINES
 from termsel.data.tables.tabular import alike, columns_of
-from termsel.formats.base import Reader, located, read_head
+from termsel.formats.base import Reader, error_in_file, read_head
 from termsel.formats.readers.geojson import Feature, numbers_at, read_geojson, sniff_geojson
 from termsel.formats.readers.tables import read_table
 from termsel.formats.readers.vector import LAYER, is_vector, read_layer
@@ -134,14 +134,14 @@ def _join_image_lines(path: Path, features: list[Feature], crs: str, image_lines
                 images.append(image_piece)
                 grounds.append(ground_piece)
         except TermselError as error:
-            raise located(error, path) from error
+            raise error_in_file(error, path) from error
     # Pieces of one feature have one description, where theirs agree.
     shared = {name: alike(rows) for name, rows in described.items()}
     try:
         lines = Lines(tuple(ids), np.stack(images), np.stack(grounds),
                       attributes=columns_of([shared[name] for name in ids]))
     except TermselError as error:
-        raise located(error, path) from error
+        raise error_in_file(error, path) from error
     return FeatureSet(lines=lines, crs=crs)
 
 

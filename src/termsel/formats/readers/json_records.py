@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 from termsel.core.errors import TermselError
 from termsel.core.options import Option
 from termsel.data.tables.columns import parse_columns
-from termsel.formats.base import IMAGE_NAME, located, parse_json, read_text
+from termsel.formats.base import IMAGE_NAME, error_in_file, parse_json, read_text
 from termsel.formats.readers.cells import Cells, found_in, of_records
 from termsel.formats.readers.csv_tables import PointsCsv, parts_of
 from termsel.formats.readers.tables import COLUMNS, Table, table_of
@@ -62,7 +62,7 @@ class PointsJson(PointsCsv):
         try:
             tree = parse_json(read_text(path), _HINT)
         except TermselError as error:
-            raise located(error, path) from error
+            raise error_in_file(error, path) from error
         records = max(_lists(tree), key=len, default=[])
         if not records:
             raise TermselError("this JSON has no list of objects", file=path, hint=_HINT)

@@ -35,15 +35,21 @@ from termsel.data.tables.columns import (
     parse_columns,
     read_numbers,
 )
-from termsel.data.tables.tabular import Attributes, is_free, refused, rows_at, text_array
-from termsel.formats.base import Reader, located
+from termsel.data.tables.tabular import (
+    Attributes,
+    is_free,
+    reason_to_refuse_id,
+    rows_at,
+    text_array,
+)
+from termsel.formats.base import Reader, error_in_file
 from termsel.formats.readers.advice import EXPECTED, with_advice, with_both_readings
 from termsel.formats.readers.cells import (
     Cells,
+    first_rows,
     found_in,
     header_row,
     read_cells,
-    sniffed,
     without_header,
 )
 from termsel.formats.repeated import averaged, is_averaging
@@ -88,7 +94,7 @@ class Table:
         if row is not None and self.row_name != "line":
             error.what = f"{self.row_name} {self.lines[row]}: {error.what}"
             row = None
-        return located(error, self.path, None if row is None else self.lines[row])
+        return error_in_file(error, self.path, None if row is None else self.lines[row])
 
     def take(self, rows: Sequence[int]) -> Table:
         """Return the table of some rows."""
@@ -116,7 +122,7 @@ class Table:
         # Spreadsheets guard text against being read as a formula; that is taken off again.
         names = [unguarded(cell.strip()) for cell in self.columns["id"]]
         for row, name in enumerate(names):
-            if wrong := refused(name):
+            if wrong := reason_to_refuse_id(name):
                 raise self.error(f"the id {wrong}", row, "id", "Give every feature a short id of "
                                                                "letters, digits and signs.")
         return names
@@ -206,7 +212,7 @@ class Table:
         except BadCell as error:
             raise self.error(error.what, error.row, meaning, error.hint) from None
         # What stands for none in rasters, such as -9999.
-        voids = np.flatnonzero(np.isin(numbers, VOID_HEIGHTS)) if meaning[0] == "z" else ()
+        voids = np.flatnonzero((meaning[0] == "z") & np.isin(numbers, VOID_HEIGHTS))
         if len(voids):
             further = f", as in {amount(len(voids), 'row')}" if len(voids) > 1 else ""
             raise self.error(f"{numbers[voids[0]]:.0f} is no height, but what rasters have where "
@@ -246,7 +252,7 @@ def sniff_table(path: Path, head: bytes, aliases: Aliases, columns: str = "",
                 required: Sequence[str] = ()) -> bool:
     """Return True if a header names at least three columns of numbers, and all `required`."""
     stated = parse_columns(columns)
-    rows = sniffed(path, head, aliases, stated)
+    rows = first_rows(path, head, aliases, stated)
     if not rows:
         return False
     header = rows[header_row(rows, aliases, stated)]
@@ -402,7 +408,7 @@ def _declared_crs(path: Path | None, comments: Mapping[int, str]) -> str:
             try:
                 name = normalise(value)
             except TermselError as error:
-                raise located(error, path, line) from error
+                raise error_in_file(error, path, line) from error
             # The same CRS twice is no contradiction, as where tables were joined.
             if crs not in ("", name):
                 raise TermselError(f"the CRS is {name} here, but {crs} in an earlier comment",

@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from termsel.core.errors import TermselError
-from termsel.core.files.atomic import atomic_path, encoded, write_bytes, write_text
+from termsel.core.files.atomic import atomic_path, utf8_bytes, write_bytes, write_text
 from termsel.core.files.names import is_there
 from termsel.core.files.texts import xml_text
 from termsel.core.options import COUNT, Option
@@ -179,7 +179,7 @@ class GeolocationVrt(GridWriter):
                              predictor=3)
         text = vrt_text(picture, path.parent, domains={"GEOLOCATION": domain})
         with atomic_path(path) as temporary:
-            temporary.write_bytes(encoded(text))
+            temporary.write_bytes(utf8_bytes(text))
             write_bytes(array, content)
         if replaced:
             with suppress(OSError):  # the new VRT is right without that
@@ -207,7 +207,7 @@ def _names_array(array: Path, path: Path) -> bool:
     if not path.is_file():
         return False
     with path.open("rb") as file:
-        return b">%b<" % encoded(xml_text(array.name)) in file.read(65536)
+        return b">%b<" % utf8_bytes(xml_text(array.name)) in file.read(65536)
 
 
 _NODATA = -1e10

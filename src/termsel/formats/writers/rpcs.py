@@ -10,7 +10,13 @@ from typing import ClassVar
 import numpy as np
 
 from termsel.core.errors import TermselError
-from termsel.core.files.atomic import atomic_path, encoded, private_folder, write_bytes, write_text
+from termsel.core.files.atomic import (
+    atomic_path,
+    private_folder,
+    utf8_bytes,
+    write_bytes,
+    write_text,
+)
 from termsel.core.files.names import is_there
 from termsel.core.files.reasons import reason_of
 from termsel.core.options import Option
@@ -60,7 +66,7 @@ class RpcWriter(Writer):
         rpc = result.to_rpc(heights)
         text = self.text(rpc, result, path)
         with atomic_path(path) as temporary:
-            temporary.write_bytes(encoded(text))
+            temporary.write_bytes(utf8_bytes(text))
             # Before the file gets its name: nobody finds a bad one.
             require_read_back(rpc, text, self.suffix)
         self.written(rpc, path)

@@ -10,7 +10,12 @@ import numpy as np
 from termsel.adjustment.equations import Equations
 from termsel.adjustment.leave_out import IndependentPart
 from termsel.core.isolation.arrays import of_shape
-from termsel.core.isolation.faults import blamed, is_own, named_function, wrong
+from termsel.core.isolation.faults import (
+    attribute_errors_to,
+    fault_of_method,
+    is_own,
+    named_function,
+)
 from termsel.data.coordinates.places import centres
 from termsel.data.features import BoolArray, FeatureSet, FloatArray
 from termsel.selection.problems.coverage import uncovered_share
@@ -163,10 +168,10 @@ def scored(objective: Objective, selected: PopulationSelection) -> FloatArray:
     """
     score = objective.score
     called = "" if is_own(score) else named_function(f"objective {objective.name!r}", score)
-    with blamed(score, "score", name=called):
+    with attribute_errors_to(score, "score", name=called):
         figures = score(selected)
     if fault := of_shape(figures, (len(selected.terms),)):
-        raise wrong(score, "score", fault, name=called)
+        raise fault_of_method(score, "score", fault, name=called)
     return figures
 
 

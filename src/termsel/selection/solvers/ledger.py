@@ -10,7 +10,7 @@ import numpy as np
 
 from termsel.adjustment.solve import significant
 from termsel.core.errors import TermselError
-from termsel.core.isolation.faults import own_code, wrong
+from termsel.core.isolation.faults import fault_of_method, own_code
 from termsel.data.features import FloatArray
 from termsel.data.record.chances import median
 from termsel.data.record.search import HistoryRow
@@ -107,8 +107,8 @@ class Ledger(ProblemAround):
                 and not self.is_replaying:
             raise BudgetSpent
         if fault := self.genome.fault(genes):
-            raise wrong(self.solver or type(self), "generations",
-                        f"asks for an evaluation of {fault}")
+            raise fault_of_method(self.solver or type(self), "generations",
+                                  f"asks for an evaluation of {fault}")
         # A population that exceeds the budget is evaluated as far as it goes, then the search ends.
         allowed = len(genes) if self.limit is None else self.limit - self.count
         evaluation = self._look_up(genes[:allowed], near)
@@ -169,7 +169,7 @@ class Ledger(ProblemAround):
                 unknown_genes = genes[[first[key] for key in unknown_keys]]
             evaluation = self._evaluation_of(list(unknown_keys), unknown_genes, near)
             if fault := evaluation_fault(self.inner, evaluation, unknown_genes):
-                raise wrong(self.inner, "evaluate", fault)
+                raise fault_of_method(self.inner, "evaluate", fault)
             # At least doubled: in the whole search each row is copied about once.
             if end > len(self._values):
                 space = np.empty((max(len(self._values), len(unknown_keys)), self._values.shape[1]))

@@ -13,7 +13,7 @@ import numpy as np
 from msgspec import structs
 
 from termsel.core.errors import TermselError
-from termsel.core.interrupts import answered
+from termsel.core.interrupts import take_pending_interrupt
 from termsel.core.threads import one_blas_thread
 from termsel.data.features import FloatArray
 from termsel.data.record.search import HistoryRow, Polish
@@ -263,7 +263,7 @@ def search(
     except KeyboardInterrupt:  # what is known by now is the result
         if ledger.best_genes is None:
             raise
-        answered()
+        take_pending_interrupt()
         interrupted = True
     finally:
         _write_checkpoint(ledger)

@@ -12,8 +12,8 @@ from msgspec import ValidationError, convert
 from termsel.core.errors import TermselError
 from termsel.core.files.atomic import write_text
 from termsel.core.files.lock import holder
-from termsel.core.files.names import inside
-from termsel.formats.base import located, parse_json, read_text
+from termsel.core.files.names import path_inside
+from termsel.formats.base import error_in_file, parse_json, read_text
 from termsel.studies.cells.cell import Cell
 from termsel.studies.cells.journal import read_journal
 from termsel.studies.cells.table import LABELS
@@ -37,7 +37,7 @@ def _read_plan(folder: Path) -> tuple[Spec, int, dict[str, dict[str, Any]]]:
 
     Raises TermselError if there is no plan, or it is damaged.
     """
-    file = inside(folder, PLAN)
+    file = path_inside(folder, PLAN)
     repeat = "Repeat the command that began the study."
     if not file.is_file():
         raise TermselError("there is no study in this folder", file=folder,
@@ -45,7 +45,7 @@ def _read_plan(folder: Path) -> tuple[Spec, int, dict[str, dict[str, Any]]]:
     try:
         table = parse_json(read_text(file), repeat)
     except TermselError as error:
-        raise located(error, file) from error
+        raise error_in_file(error, file) from error
     try:
         read = convert(table["cells"], dict[str, dict[str, str | int]])
         # Every cell has all labels, in the order of the tables.

@@ -18,8 +18,8 @@ from typing import Annotated, Any, BinaryIO, Literal
 from msgspec import Meta, ValidationError, convert
 
 from termsel.core.errors import TermselError, counted
-from termsel.core.files.names import JOURNAL, inside, is_there, open_inside
-from termsel.data.record.figures import RecordPart, plain
+from termsel.core.files.names import JOURNAL, is_there, open_inside, path_inside
+from termsel.data.record.figures import RecordPart, as_plain_data
 from termsel.formats.base import read_data
 
 SCHEMA = "termsel-study-1"
@@ -136,7 +136,7 @@ class Journal:
 
     def append(self, record: CellRecord) -> None:
         """Add the record of a cell; if the disk refuses it, the journal stays as it was."""
-        self._write(plain(record))
+        self._write(as_plain_data(record))
         self.records[record.cell] = record
 
     def close(self) -> None:
@@ -175,7 +175,7 @@ class Journal:
 
 def read_journal(folder: Path) -> Journal:
     """Return the journal of a folder, empty if there is none; nothing is changed on the disk."""
-    journal = Journal(inside(folder, JOURNAL))
+    journal = Journal(path_inside(folder, JOURNAL))
     try:
         content = read_data(journal.path)
     except TermselError:

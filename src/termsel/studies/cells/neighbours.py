@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from termsel.core.errors import counted, first_of
-from termsel.data.coordinates.earth import degrees_of, in_words, is_mirrored, swapped
+from termsel.data.coordinates.earth import degrees_of, in_words, is_mirrored, swapped_axes
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray
 
 MAJORITY_SHARE = 2 / 3
@@ -62,7 +62,7 @@ def setting_of(features: FeatureSet) -> dict[str, Any]:
     # Both orders, so that an exchange of x and y can be told.
     return {"place": degrees_of(features.crs, ground) if len(ground) else None,
             "exchanged": degrees_of(features.crs, ground[:, [1, 0, 2]]) if len(ground) else None,
-            "mirrored": is_mirrored(features), "doubt": swapped(features)}
+            "mirrored": is_mirrored(features), "doubt": swapped_axes(features)}
 
 
 def batch_of(settings: Mapping[str, Mapping[str, Any]]) -> Batch:

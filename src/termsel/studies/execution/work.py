@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from termsel.auto.auto import Auto
 from termsel.auto.memory import Memory
-from termsel.core.display.quiet import quieted
+from termsel.core.display.quiet import quiet_logger
 from termsel.core.errors import TermselError
 from termsel.core.files.atomic import private_folder
 from termsel.core.threads import one_blas_thread
@@ -74,7 +74,7 @@ MEMORY = Memory()
 
 @one_blas_thread
 # The plans that solvers announce, of thousands of runs.
-@quieted("termsel.selection.solvers", logging.WARNING)
+@quiet_logger("termsel.selection.solvers", logging.WARNING)
 def do(cell: Cell, features: FeatureSet) -> Outcome:
     """Run a cell, and return its outcome; where the run fails, with the reason."""
     with named(cell.data.source):

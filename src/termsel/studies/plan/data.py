@@ -13,7 +13,7 @@ from pathlib import Path
 from threading import Timer
 from typing import Any
 
-from termsel.core.display.quiet import quieted
+from termsel.core.display.quiet import quiet_logger
 from termsel.core.errors import TermselError
 from termsel.data.datasets import DatasetSpec
 from termsel.data.features import FeatureSet
@@ -52,7 +52,7 @@ def data_of(spec: Spec, folder: Path, tables: frozenset[Path] = frozenset()) -> 
     """
     data_sets: list[Data] = []
     # What is said of the heights of one file would stand there for each of hundreds.
-    with quieted("termsel.formats.heights", logging.WARNING):
+    with quiet_logger("termsel.formats.heights", logging.WARNING):
         for source in spec.data:
             data_sets += _data_of_source(spec, source, folder, tables)
     _say_heights(data_sets)

@@ -11,7 +11,13 @@ import numpy as np
 
 import termsel
 from termsel import FeatureSet, Points, TermselError
-from termsel.toolkit import FloatArray, blamed, modules_here, options_of_file, unknown_name
+from termsel.toolkit import (
+    FloatArray,
+    attribute_errors_to,
+    modules_here,
+    options_of_file,
+    unknown_name,
+)
 from termsel_bench.methods import peers, scripts
 
 Projection = Callable[[FloatArray], FloatArray]
@@ -110,7 +116,8 @@ class Method:
         if self.kind == "peer":
             return PEERS[self.name](features, seed)
         function = function_of(self.name)
-        with blamed(function, FUNCTION, "Correct the function, then repeat the command."):
+        with attribute_errors_to(function, FUNCTION,
+                                 "Correct the function, then repeat the command."):
             returned = function(features)
         return _projection(returned, self.name)
 
@@ -124,7 +131,8 @@ class Method:
         """
         project = self.applied(features, seed)
         # What a package returns is not trusted: shape and numbers are looked at.
-        with blamed(project, "project", "Correct the function, then repeat the command."):
+        with attribute_errors_to(project, "project",
+                                 "Correct the function, then repeat the command."):
             positions = np.asarray(project(points.ground.copy()), dtype=np.float64)
         if positions.shape != (len(points), 2):
             raise TermselError(f"{self.title} returned positions of the shape {positions.shape}, "

@@ -13,7 +13,14 @@ import msgspec
 import numpy as np
 
 from termsel import TermselError, require_replaceable
-from termsel.toolkit import inside, private_folder, read_data, read_text, unguarded, write_bytes
+from termsel.toolkit import (
+    path_inside,
+    private_folder,
+    read_data,
+    read_text,
+    unguarded,
+    write_bytes,
+)
 from termsel.toolkit.coordinates import LOCAL, horizontal
 from termsel_block.files.folders import RECORD, TIES
 from termsel_block.geometry.frame import FloatArray
@@ -79,7 +86,7 @@ def _read_ties(folder: Path) -> tuple[list[str], FloatArray, str]:
     images. Raises TermselError if the folder has no block, or files that are damaged.
     """
     for name in (RECORD, TIES):
-        if not inside(folder, name).is_file():
+        if not path_inside(folder, name).is_file():
             raise TermselError(f"there is no block in this folder: it has no {name}", file=folder,
                                hint="Name the folder that termsel block --out wrote.")
     # Both files come from disk, where anything may have happened to them.

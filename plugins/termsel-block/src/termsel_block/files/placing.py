@@ -8,7 +8,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from termsel import TermselError
-from termsel.toolkit import locked, private_folder
+from termsel.toolkit import lock_folder, private_folder
 from termsel.toolkit.files import sync
 
 
@@ -34,7 +34,7 @@ def together(folder: Path, last: str) -> Iterator[Path]:
     above = [parent for parent in (folder, *folder.absolute().parents) if not parent.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with locked(folder), private_folder(folder) as private:
+        with lock_folder(folder), private_folder(folder) as private:
             new = private / "new"
             old = private / "old"
             new.mkdir()

@@ -11,7 +11,7 @@ import numpy as np
 from termsel import Option, Result, TermselError, Writer
 from termsel.toolkit import FloatArray, private_folder, requires, write_bytes
 from termsel.toolkit.coordinates import horizontal
-from termsel.toolkit.files import TextArray, distinct, reason_of, say_measured
+from termsel.toolkit.files import TextArray, distinct_names, reason_of, say_measured
 from termsel.toolkit.models import errors_on_ground
 from termsel.toolkit.runs import GIS
 from termsel_formats.maps.qgis_style import OPTIONS, TABLE, styles
@@ -100,6 +100,6 @@ def _attributes(result: Result, reserved: list[str]) -> dict[str, TextArray]:
     features = result.features
     row = {name: i for i, name in enumerate(features.ids)}
     rows = [row[residual.id] for residual in result.residuals]
-    names = distinct([*features.points.attributes, *features.lines.attributes])
+    names = distinct_names([*features.points.attributes, *features.lines.attributes])
     return {name: features.texts(name)[rows] for name in names
             if name.casefold() not in reserved}

@@ -10,7 +10,7 @@ import numpy as np
 
 from termsel import Points, TermselError
 from termsel.toolkit import read_text
-from termsel.toolkit.files import located
+from termsel.toolkit.files import error_in_file
 
 CORNER = 0.5
 """From the centre of the first pixel to its outer corner, where GDAL and others count from."""
@@ -58,4 +58,4 @@ def points_of(path: Path, ids: Sequence[str], rows: Sequence[Sequence[float]]) -
     try:
         return Points(tuple(names), table[:, :2], table[:, 2:])
     except TermselError as error:
-        raise located(error, path) from error
+        raise error_in_file(error, path) from error

@@ -19,9 +19,9 @@ from termsel.toolkit import picture_for, private_folder, with_dataset, write_tex
 from termsel.toolkit.coordinates import normalise
 from termsel.toolkit.files import (
     atomic_path,
-    encoded,
     gcps_of,
     reason_of,
+    utf8_bytes,
     utf8_name,
     vrt_text,
     xml_attribute,
@@ -154,7 +154,7 @@ class GcpTiff(PointsWriter):
             source = folder / "gcps.vrt"
             if picture.path is not None:
                 picture = replace(picture, path=Path(name_of_picture))
-            source.write_bytes(encoded(vrt_text(picture, folder, gcps=gcps, crs=crs)))
+            source.write_bytes(utf8_bytes(vrt_text(picture, folder, gcps=gcps, crs=crs)))
             with open_raster(source) as raster:
                 try:
                     with_dataset(raster, _copy, folder / "copy.tif", image is None)

@@ -15,7 +15,7 @@ import numpy as np
 from termsel import FeatureSet, Option, Points, Reader, Result, TermselError
 from termsel.toolkit import write_text, xml_document
 from termsel.toolkit.coordinates import horizontal, normalise
-from termsel.toolkit.files import IMAGE_NAME, image_of, located, wkt
+from termsel.toolkit.files import IMAGE_NAME, error_in_file, image_of, wkt
 from termsel_formats.points.common import CORNER, what_lacks, xml_root
 from termsel_formats.points.written import (
     IMAGE,
@@ -71,7 +71,7 @@ class MetashapeMarkers(Reader):
                                         for mark in used))
             return FeatureSet(points, crs=_crs(root))
         except TermselError as error:
-            raise located(error, path) from error
+            raise error_in_file(error, path) from error
 
     def parts(self, path: Path) -> dict[str, dict[str, Any]]:
         """Return the options for each camera of the markers; {} if there is only one."""

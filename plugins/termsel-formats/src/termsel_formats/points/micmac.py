@@ -21,7 +21,7 @@ import numpy as np
 
 from termsel import FeatureSet, Option, Points, Reader, Result, TermselError
 from termsel.toolkit import write_text, xml_document
-from termsel.toolkit.files import IMAGE_NAME, atomic_path, encoded, image_of, located
+from termsel.toolkit.files import IMAGE_NAME, atomic_path, error_in_file, image_of, utf8_bytes
 from termsel_formats.points.common import xml_root
 from termsel_formats.points.written import (
     IMAGE,
@@ -69,7 +69,7 @@ class MicmacXml(Reader):
             return FeatureSet(Points(tuple(ids), np.array(line_sample),
                                      np.array([ground[name] for name in ids])), crs="")
         except TermselError as error:
-            raise located(error, path) from error
+            raise error_in_file(error, path) from error
 
     def parts(self, path: Path) -> dict[str, dict[str, Any]]:
         """Return the options for each image of the file; {} if there is only one."""
@@ -202,7 +202,7 @@ class MicmacXmlWriter(PointsWriter):
             _add(point, "NamePt", name)
             _add(point, "Incertitude", f"{sigma!r} {sigma!r} {sigma!r}")
         with atomic_path(path) as unfinished:  # in place after the other, or neither is
-            unfinished.write_bytes(encoded(xml_document(measures)))
+            unfinished.write_bytes(utf8_bytes(xml_document(measures)))
             write_text(_ground_file(path), xml_document(ground))
         say_checked(self.name, checked)
 

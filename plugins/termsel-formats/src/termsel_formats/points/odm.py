@@ -22,7 +22,7 @@ from warnings import catch_warnings, simplefilter
 from termsel import FeatureSet, Option, Reader, Result, TermselError
 from termsel.toolkit import read_text, requires, write_text
 from termsel.toolkit.coordinates import begins_as_crs, horizontal, normalise
-from termsel.toolkit.files import IMAGE_NAME, Table, image_of, is_number, located
+from termsel.toolkit.files import IMAGE_NAME, Table, error_in_file, image_of, is_number
 from termsel.toolkit.runs import GIS
 from termsel_formats.points.written import (
     IMAGE,
@@ -98,7 +98,7 @@ def _marks(path: Path) -> tuple[str, list[tuple[int, list[str]]]]:
     try:
         crs = normalise(first.removeprefix("#").strip())
     except TermselError as error:
-        raise located(error, path, number) from error
+        raise error_in_file(error, path, number) from error
     marks: list[tuple[int, list[str]]] = []
     for number, text in rows[(i or 0) + 1:]:
         cells = _cells(text)

@@ -26,9 +26,9 @@ from termsel.toolkit.files import (
     Table,
     atomic_path,
     cell_text,
-    encoded,
     image_of,
     is_number,
+    utf8_bytes,
 )
 from termsel_formats.points.common import CORNER
 from termsel_formats.points.written import (
@@ -184,6 +184,6 @@ class Pix4dMarksWriter(PointsWriter):
             first, second = (y, x) if swapped else (x, y)
             ground_rows.append(f"{name},{first!r},{second!r},{'' if np.isnan(z) else repr(z)}")
         with atomic_path(path) as unfinished:  # in place after the other, or neither is
-            unfinished.write_bytes(encoded("\n".join([*marks, ""])))
+            unfinished.write_bytes(utf8_bytes("\n".join([*marks, ""])))
             write_text(_ground_file(path), "\n".join([*ground_rows, ""]))
         say_checked(self.name, checked)

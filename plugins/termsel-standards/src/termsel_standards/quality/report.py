@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from termsel import Option, Result, TermselError
-from termsel.toolkit import plain, require_regular
+from termsel.toolkit import as_plain_data, require_regular
 from termsel.toolkit.coordinates import LOCAL, horizontal
 from termsel.toolkit.files import Prediction, prediction_of
 from termsel_standards.outline import outline_of
@@ -152,7 +152,7 @@ def quality_of(result: Result, title: str = "", organisation: str = "",
                 "criterion": result.criterion, "seed": str(result.seed),
                 "terms": " ".join(terms.terms),
                 **{f"options of the {name}": json.dumps(value, sort_keys=True)
-                   for name, value in plain(result.options).items() if value}}
+                   for name, value in as_plain_data(result.options).items() if value}}
     sources = [Source(result.data.source,
                       "GCP observations; the checksum is that of ids, coordinates, roles, "
                       "standard deviations and CRS as read", result.data.sha256)]

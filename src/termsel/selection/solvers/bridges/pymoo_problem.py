@@ -17,7 +17,7 @@ from pymoo.core.repair import NoRepair, Repair
 from pymoo.core.variable import Binary, Integer, Real, Variable
 from pymoo.termination.max_gen import MaximumGenerationTermination
 
-from termsel.core.isolation.faults import blamed
+from termsel.core.isolation.faults import attribute_errors_to
 from termsel.data.features import FloatArray, IntArray
 from termsel.selection.problems.base import Evaluation, Problem
 from termsel.selection.problems.genome import Genome
@@ -231,10 +231,10 @@ def steps(algorithm: Algorithm, problem: Problem, rng: np.random.Generator,
     chance = chance or OwnChance(rng)
     # RVEA alone asks how long a run will be.
     expected = horizon or max(EVALUATIONS // (getattr(algorithm, "pop_size", None) or 1), 1)
-    with blamed(algorithm, "setup", CHECK), chance:
+    with attribute_errors_to(algorithm, "setup", CHECK), chance:
         _begin_algorithm(algorithm, pymoo_problem, rng, expected)
     for index in itertools.count():
-        with blamed(algorithm, "ask", CHECK), chance:
+        with attribute_errors_to(algorithm, "ask", CHECK), chance:
             offspring = algorithm.ask()
         if offspring is None or not len(offspring):
             return  # every offspring is a duplicate: there is nothing left to try
@@ -246,7 +246,7 @@ def steps(algorithm: Algorithm, problem: Problem, rng: np.random.Generator,
         offspring.set("G", evaluation.violation[:, None])
         for individual in offspring:  # else pymoo would evaluate them again
             individual.evaluated.update({"F", "G"})
-        with blamed(algorithm, "tell", CHECK), chance:
+        with attribute_errors_to(algorithm, "tell", CHECK), chance:
             # The repaired genes are those that survive or not.
             algorithm.tell(infills=offspring)
         population = algorithm.pop
