@@ -13,6 +13,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,8 @@ import numpy as np
 import termsel
 
 CACHES = {
-    "data.scaling": ("_scaled",), "data.view": ("_view_of",), "data.roles": ("_order_and_labels",),
+    "data.scaling": ("Scaling.features",), "data.view": ("_view_of",),
+    "data.roles": ("_order_and_labels",),
     "data.coordinates.places": ("lattice_of",), "data.monomials": ("_kept_monomials",),
     "models.quotient": ("guard_points",), "fitting.pinhole": ("camera_of",),
     "adjustment.bayesian.field": ("_cached_gaussian_process",),
@@ -43,8 +45,8 @@ def cached_functions() -> dict[str, Any]:
     functions = {}
     for module, names in CACHES.items():
         for name in names:
-            functions[f"{module}.{name}"] = getattr(
-                importlib.import_module(f"termsel.{module}"), name)
+            functions[f"{module}.{name}"] = attrgetter(name)(
+                importlib.import_module(f"termsel.{module}"))
     return functions
 
 
@@ -52,16 +54,20 @@ def cached_functions() -> dict[str, Any]:
 def without(functions: Sequence[Any]) -> Iterator[None]:
     """Let every module of termsel call some functions without their cache."""
     replaced = []
-    for module in [module for name, module in sys.modules.items() if name.startswith("termsel")]:
-        for name, value in list(vars(module).items()):
+    modules = [module for name, module in sys.modules.items() if name.startswith("termsel")]
+    # A method is kept by its class.
+    classes = {value for module in modules for value in vars(module).values()
+               if isinstance(value, type)}
+    for holder in [*modules, *classes]:
+        for name, value in list(vars(holder).items()):
             if any(value is function for function in functions):
-                replaced.append((module, name, value))
-                setattr(module, name, value.__wrapped__)
+                replaced.append((holder, name, value))
+                setattr(holder, name, value.__wrapped__)
     try:
         yield
     finally:
-        for module, name, value in replaced:
-            setattr(module, name, value)
+        for holder, name, value in replaced:
+            setattr(holder, name, value)
 
 
 def cpu_seconds(work: Callable[[], object], functions: Sequence[Any]) -> float:
