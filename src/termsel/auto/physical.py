@@ -337,7 +337,7 @@ class Physical(Estimator):
             predictions.append((columns @ coefficients, variance, noise))
         for posterior, powers in average.shrunken:
             columns_of_degree = monomials(ground, powers)
-            lead = posterior.designs[0].lead.shape[0]
+            lead = posterior.designs[0].free_triangle.shape[0]
             predicted = predict_positions(posterior, columns_of_degree[:, :lead],
                                           columns_of_degree[:, lead:])
             predictions.append((predicted.image, predicted.variance, predicted.noise))

@@ -136,7 +136,7 @@ def mean_coefficients(posterior: Posterior, exponents: Exponents) -> tuple[Float
         coefficients[~free, axis] = shrunk
         # Affine terms fit what the others leave: R x = Q'(y - C shrunk), of their factors Q R.
         coefficients[free, axis] = np.linalg.solve(
-            design.lead, solutions.free - design.free_projections @ shrunk)
+            design.free_triangle, solutions.free - design.free_projections @ shrunk)
         effective += of_axis
     return coefficients, effective
 

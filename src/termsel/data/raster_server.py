@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import os
 import pickle
-import signal
 import sys
 from collections.abc import Generator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from termsel.core.files.drivers import allow_driver, allow_remote, claim_process
+from termsel.core.files.apart import answering
+from termsel.core.files.drivers import claim_process
 from termsel.data.distant_rasters import CLOSE_RASTER, OPEN_RASTER, Question
 from termsel.data.rasters import open_raster, require_rasterio
 
@@ -24,17 +24,8 @@ _open_here: dict[int, tuple[Any, ExitStack]] = {}
 
 def serve(drivers: tuple[str, ...], remote: bool) -> None:
     """Answer the questions that come on stdin, in a new process."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     claim_process()
-    with os.fdopen(os.dup(1), "wb") as answers, ExitStack() as stack:
-        # What libraries print is no answer.
-        silent = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(silent, 1)
-        os.dup2(silent, 2)
-        stack.enter_context(allow_driver(*drivers))
-        if remote:
-            stack.enter_context(allow_remote())
-        stack.enter_context(require_rasterio().Env())
+    with answering(drivers, remote) as answers, require_rasterio().Env():
         while True:
             try:
                 question = pickle.load(sys.stdin.buffer)

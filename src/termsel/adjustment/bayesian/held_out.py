@@ -61,7 +61,7 @@ def chance_of(statistic: FloatArray, freedom: int, pairs: int = 1) -> FloatArray
 
 
 class AxisErrors(NamedTuple):
-    """The u solutions of one axis, for n points."""
+    """What the u solutions of one axis leave at n points, in weighted image units."""
 
     redundancies: FloatArray  # (u, n): 1 less the leverage of each point
     errors: FloatArray  # (u, n)
@@ -97,6 +97,7 @@ def leave_each_point_out(line: AxisErrors, sample: AxisErrors, cells: WeightedCe
     degrees of freedom without a point.
     """
     count = line.redundancies.shape[1]
+    # The factor of a cell, (l_line l_sample)^-1/2 (S / S')^h S, begins with S and its probability.
     weight = cells.share * cells.square
     figures = np.empty((count, 7))
     for start in range(0, count, POINTS_AT_ONCE):

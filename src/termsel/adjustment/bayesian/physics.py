@@ -358,8 +358,9 @@ def log_marginal_likelihood(posterior: Posterior, of_heights: FloatArray | None,
     log = posterior.cells.log_evidence - np.log(len(posterior.scales) * size_sum)
     # The integral over the noise of its density 1 / sigma: Gamma(nu/2) / 2 pi^(nu/2).
     log = log + lgamma(half) - np.log(2.0) - half * np.log(np.pi)
-    # What the affine terms determine.
-    log = log - sum(np.log(np.abs(np.diag(design.lead))).sum() for design in posterior.designs)
+    # What the affine terms determine: the determinant of the free columns is that of the triangle.
+    log = log - sum(np.log(np.abs(np.diag(design.free_triangle))).sum()
+                    for design in posterior.designs)
     mean_square = float(posterior.cells.share @ (posterior.square / posterior.freedom))
     log_noise = 0.5 * np.log(mean_square) - np.log(pixel)
     log += _log_normal_density(log_noise - np.log(NOISE_MEDIAN), NOISE_LOG_DEVIATION)

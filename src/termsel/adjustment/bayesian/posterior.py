@@ -69,13 +69,16 @@ MAX_LOG_RATIO = 30.0
 
 @dataclass(frozen=True, eq=False)
 class AxisEvidence:
-    """How likely all solutions of one axis are, groups of scales by sizes.
+    """How likely each solution of one axis is: g groups of scales by s sizes, a row of g s.
 
-    Both make up prior and marginal likelihood, square^-nu/2 exp(log_factor).
+    Prior times marginal likelihood of a solution is S^(-nu/2) exp(log_factor), with nu degrees of
+    freedom.
     """
 
-    log_factor: FloatArray  # (g s,)
-    square: FloatArray  # (g s,)
+    # (g s,): logarithm of the prior of the size times |I + s^2 M M'|^-1/2.
+    log_factor: FloatArray
+    # (g s,): S = y' (I + s^2 M M')^-1 y, with what no column explains; in squared image units.
+    square: FloatArray
 
 
 def scales_of(exponents: IntArray, draws: int | None = None) -> FloatArray:
@@ -211,7 +214,7 @@ def _shared_scales(scales: bytes, sizes: bytes, n_own: int, targets: int) -> _Sh
 
 @dataclass(frozen=True, eq=False)
 class GridCells:
-    """The points of the grid that matter."""
+    """The c cells of the grid that matter: each a group, a size of line and a size of sample."""
 
     solutions: tuple[IntArray, IntArray]  # (c,) each: which solution of line and which of sample
     share: FloatArray  # (c,): how likely
@@ -259,7 +262,11 @@ def normalized(logarithm: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """All solutions for both axes."""
+    """The regularised polynomial of some points: all its solutions of both axes, by probability.
+
+    Its prediction is the mean over the solutions of `cells`. A solution of line and one of sample
+    have the same scales and sizes of their own.
+    """
 
     evidence: tuple[AxisEvidence, AxisEvidence]  # of line and of sample
     cells: GridCells  # which solutions matter, and their probabilities
@@ -374,7 +381,7 @@ def posterior(columns: FloatArray, image: FloatArray, order: IntArray, weights: 
     return None if solutions is None else solutions[0]
 
 
-def posteriors(lead: FloatArray, shrunken: FloatArray, image: FloatArray,
+def posteriors(free_columns: FloatArray, shrunken: FloatArray, image: FloatArray,
                weights: FloatArray | None, scales: FloatArray, n_own: int, *,
                in_use: int | None = None, affine: bool = False) -> list[Posterior] | None:
     """Return all solutions as `posterior` does, for d systems with the same free columns (n, f).
@@ -383,16 +390,22 @@ def posteriors(lead: FloatArray, shrunken: FloatArray, image: FloatArray,
     scale for all others in a group. None with fewer than four degrees of freedom, or dependent
     columns.
     """
-    in_use = len(lead) if in_use is None else in_use
-    freedom = 2 * (in_use - lead.shape[1])
+    in_use = len(free_columns) if in_use is None else in_use
+    freedom = 2 * (in_use - free_columns.shape[1])
     if freedom < 4:
         return None
+    # (NO_NOISE times the half-range of the image)^2 for each of the equations in use.
     noise = 2 * in_use * (NO_NOISE * float(np.ptp(image, axis=0).max()) / 2) ** 2
     designs = []
     # Line and sample have one design unless their weights differ.
-    for w in [None] if weights is None else weights.T[:1 + (weights[:, 0] != weights[:, 1]).any()]:
-        of_axis = designs_of(lead, shrunken, scales, n_own) if w is None else designs_of(
-            lead * w[:, None], shrunken * w[:, None], scales, n_own)
+    weights_of_axes: list[FloatArray | None] = [None]
+    if weights is not None:
+        weights_differ = bool((weights[:, 0] != weights[:, 1]).any())
+        weights_of_axes = list(weights.T if weights_differ else weights.T[:1])
+    for axis_weights in weights_of_axes:
+        of_axis = designs_of(free_columns, shrunken, scales, n_own) if axis_weights is None \
+            else designs_of(free_columns * axis_weights[:, None],
+                            shrunken * axis_weights[:, None], scales, n_own)
         if of_axis is None:
             return None
         designs.append(of_axis)
@@ -473,7 +486,7 @@ def predict_positions(posterior: Posterior, free: FloatArray, shrunken: FloatArr
     for axis in (0, 1):
         solutions = posterior.solutions[axis]
         design = posterior.designs[axis]
-        free_reduced = np.linalg.solve(design.lead.T, free.T).T
+        free_reduced = np.linalg.solve(design.free_triangle.T, free.T).T
         # W; `free_reduced` is q.
         shrunken_reduced = shrunken - free_reduced @ design.free_projections
         weight, mean, root = _coefficient_moments(posterior, axis)

@@ -78,14 +78,18 @@ CANCELLATION = 1e-8
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """Columns, those that are shrunken without the free ones."""
+    """The design matrix of one axis of n points: f columns that are free, k that are shrunken.
+
+    The shrunken columns stand in an orthonormal basis of m directions that no free column explains,
+    so that free coefficients take no part in what follows. A group is one of g sets of scales.
+    """
 
     basis: FloatArray  # (n, m): what some column, and no free one, explains
     # (n, l): what the columns explain, free ones with them; the rest is left by every solution.
     explained: FloatArray
     shrunken: FloatArray  # (m, k): the shrunken columns in the basis
     scales: FloatArray  # (g, k): of their coefficients for size 1
-    lead: FloatArray  # (f, f): triangle of the free columns
+    free_triangle: FloatArray  # (f, f): R of the free columns, Q R
     free_projections: FloatArray  # (f, k): what the shrunken columns have in common with them
     n_own: int  # shrunken columns after which all have one scale in each group
     # U, shape (m, m), and S, shape (m,), of all shrunken columns but the first few, bare; U is
@@ -121,7 +125,7 @@ class Design:
         return np.asarray(target - self.explained @ (self.explained.T @ target))
 
 
-def designs_of(lead: FloatArray, shrunken: FloatArray, scales: FloatArray,
+def designs_of(free_columns: FloatArray, shrunken: FloatArray, scales: FloatArray,
                n_own: int) -> list[Design] | None:
     """Return designs; None if all rows but any one do not determine the free columns.
 
@@ -129,20 +133,21 @@ def designs_of(lead: FloatArray, shrunken: FloatArray, scales: FloatArray,
     scales are (g, k). After the first few shrunken columns all have one scale in each group; few is
     k if there are none such.
     """
-    n, f = lead.shape
+    n, f = free_columns.shape
     k = shrunken.shape[2]
+    # Without one row the others must still determine the free columns.
     if n <= f:
         return None
     if n <= f + k:  # all of space is explained, whatever the shrunken columns
-        q, r = np.linalg.qr(lead, mode="complete")
+        q, r = np.linalg.qr(free_columns, mode="complete")
         factors = [(q, r[:f], projections) for projections in q.T @ shrunken]
     else:  # free columns first: q of the others is then without them
         factors = []
         for columns in shrunken:
-            q, r = orthogonal(np.concatenate([lead, columns], axis=1))
+            q, r = orthogonal(np.concatenate([free_columns, columns], axis=1))
             factors.append((q, r[:f, :f], r[:, f:]))
     q, triangle, _ = factors[0]
-    if (np.abs(np.diag(triangle)) <= TOLERANCE * np.linalg.norm(lead, axis=0)).any() \
+    if (np.abs(np.diag(triangle)) <= TOLERANCE * np.linalg.norm(free_columns, axis=0)).any() \
             or (1.0 - (q[:, :f]**2).sum(axis=1)).min() < TOLERANCE:
         return None
     in_basis = np.array([projections[f:] for *_, projections in factors])
@@ -159,7 +164,10 @@ def designs_of(lead: FloatArray, shrunken: FloatArray, scales: FloatArray,
 
 @dataclass(frozen=True, eq=False)
 class AxisSolutions:
-    """The u solutions of one axis."""
+    """The u solutions of one axis: each the coefficients by one group of scales and one size.
+
+    Coefficients are in scaled image units by scaled ground units; residuals are weighted.
+    """
 
     solution_of_cell: IntArray  # (c,): that of each cell of the posterior
     effective: FloatArray  # (u,): effective parameters
@@ -204,7 +212,7 @@ class Shrinkage:
         coefficients = (residuals @ design.shrunken) * self._squared_scales
         return AxisSolutions(
             solution_of_cell, design.explained.shape[1] - self._solutions.traces, coefficients,
-            design.explained[:, :len(design.lead)].T @ target, self.redundancies,
+            design.explained[:, :len(design.free_triangle)].T @ target, self.redundancies,
             lambda points: np.asarray(residuals @ design.basis[points].T + unexplained[points]))
 
 
@@ -266,7 +274,7 @@ class SharedShrinkage:
                      + (self._correction**2).sum(axis=(1, 2)))
         errors = shrunken_projections @ self._directions + design.unexplained_part(target)
         return AxisSolutions(solution_of_cell, effective, coefficients,
-                             design.explained[:, :len(design.lead)].T @ target,
+                             design.explained[:, :len(design.free_triangle)].T @ target,
                              lambda points: redundancies[:, points],
                              lambda points: errors[:, points])
 

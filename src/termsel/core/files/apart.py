@@ -12,12 +12,12 @@ import os
 import pickle
 import signal
 import sys
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from functools import cache
 from importlib import import_module
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, BinaryIO, TypeVar
 
 from termsel.core.errors import TermselError
 from termsel.core.files.drivers import (
@@ -100,17 +100,27 @@ def _helper(drivers: tuple[str, ...], remote: bool) -> Helper:
     return helper
 
 
-def serve(drivers: tuple[str, ...] = (), remote: bool = False) -> None:
-    """Answer the questions that come on stdin, in a new process."""
+@contextmanager
+def answering(drivers: tuple[str, ...], remote: bool) -> Iterator[BinaryIO]:
+    """Yield where a new process writes its answers; GDAL may use the drivers, and read elsewhere.
+
+    Ctrl-C is for the process that asks.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with os.fdopen(os.dup(1), "wb") as answers, ExitStack() as stack:
-        # What libraries print when they end is of no use to the user.
+        # What libraries print, even as they end, is no answer, and of no use to the user.
         silent = os.open(os.devnull, os.O_WRONLY)
         os.dup2(silent, 1)
         os.dup2(silent, 2)
         stack.enter_context(allow_driver(*drivers))
         if remote:
             stack.enter_context(allow_remote())
+        yield answers
+
+
+def serve(drivers: tuple[str, ...] = (), remote: bool = False) -> None:
+    """Answer the questions that come on stdin, in a new process."""
+    with answering(drivers, remote) as answers:
         while True:
             try:
                 module, name, values, memory, seconds = pickle.load(sys.stdin.buffer)

@@ -404,7 +404,7 @@ class Tabular(Glance, Framed):
         rows = rows_of(self.ids, index)
         row_numbers = rows.tolist()
         fields_at_rows: dict[str, Any] = {}
-        for name in _given_fields(type(self)):
+        for name in _given_fields(type(self)):  # type: ignore[arg-type]
             value = getattr(self, name)
             if isinstance(value, tuple):
                 value = tuple(map(value.__getitem__, row_numbers))
@@ -442,7 +442,7 @@ class Tabular(Glance, Framed):
             if table.sigma is None else table.sigma
             for table in (self, further)]) if sigmas else None
         texts = {name: getattr(self, name) + getattr(further, name)
-                 for name in _given_fields(type(self))
+                 for name in _given_fields(type(self))  # type: ignore[arg-type]
                  if isinstance(getattr(self, name), tuple)}  # ids and roles
         return {
             "image": np.concatenate([self.image, further.image]),
@@ -478,7 +478,7 @@ def unchecked(table: _Table, **changes: Any) -> _Table:
     # What was checked once holds for a part of them, and in other units. Fits make so many of these
     # that the checks took a quarter of their time.
     changed = object.__new__(type(table))
-    for name in _given_fields(type(table)):
+    for name in _given_fields(type(table)):  # type: ignore[arg-type]
         value = changes[name] if name in changes else getattr(table, name)
         if isinstance(value, np.ndarray):
             value.setflags(write=False)

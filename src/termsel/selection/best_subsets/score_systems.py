@@ -58,7 +58,10 @@ _BOUND_HALVINGS = 7  # of the interval in which a bound lies: less than a per ce
 
 @dataclass(frozen=True, eq=False)
 class ScoreRows:
-    """Rows of one system, by column and, at the end, target."""
+    """The rows of one least-squares system: a column for each of k terms, then r targets.
+
+    All are scaled coordinates, without a unit.
+    """
 
     control: FloatArray  # (m, k + r): rows of the adjustment
     extra: FloatArray  # (e, k + r): rows that take part, as in `Vectors`
@@ -72,7 +75,11 @@ class ScoreRows:
 
 @dataclass(frozen=True, eq=False)
 class ScoreSystems:
-    """The systems of a score, in lockstep, and the columns to choose from."""
+    """What scores a subset of k columns: one system, or one for each fold, solved in lockstep.
+
+    The score of a subset is a sum of squares over all systems; branch and bound asks for a lower
+    bound of it over all subsets of a node.
+    """
 
     kind: int  # of score: see `columns.kernels`
     k: int  # columns
@@ -136,7 +143,8 @@ class ScoreSystems:
 
     @property
     def starts(self) -> list[SubtreeNode]:
-        """Single subsets, each a candidate for the best of its size: bounds need some."""
+        """Nodes of one subset each, of every size: first incumbents, without which no bound prunes.
+        """
         if self.kind != RSS:
             return []
         used = self.everything.used
@@ -151,6 +159,7 @@ class ScoreSystems:
         smallest = len(node.used)
         room = min(node.room, len(node.candidates))
         # Residuals fall as columns join: only the largest sizes can be cut off.
+        # Ties within rounding stay, as the smaller mask of two equal scores counts.
         reachable = best[smallest:smallest + room + 1] * (1.0 + 1e-9) + self._slack
         open_rooms = np.flatnonzero(node.lower_bound <= reachable)
         return replace(node, room=int(np.append(-1, open_rooms)[-1]))

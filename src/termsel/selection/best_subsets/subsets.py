@@ -56,7 +56,10 @@ _NODES_IN_PROGRESS = 16  # at once, whatever the number of workers
 
 @dataclass(frozen=True, eq=False)
 class SubsetResult:
-    """The best subset of every size among those decided so far."""
+    """The best subset of every size, 0 to k columns, among those decided so far.
+
+    Scores are sums of squares in squared scaled image units.
+    """
 
     # (k + 1,): least score of the subsets of each size, forced columns included; infinite without.
     best: FloatArray
@@ -148,7 +151,7 @@ class _Incumbents:
         self.pruned = 0
 
     def replace(self, result: NodeResult) -> None:
-        """Take the best subsets of a walk that started from these: they are no worse."""
+        """Take the best subsets of a walk that started from these, and so are no worse."""
         self.best = result.best
         self.masks = result.masks
 

@@ -11,10 +11,12 @@ from termsel_block.geometry.heights import Heights
 
 def of_heights(heights: Heights, ties: FloatArray,
                ) -> tuple[TieRows, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return what heights add: their rows, to the offset's equations, and to each tie's.
+    """Return what heights add to the normal equations of a block of t ties.
 
-    Of the two image axes of `TieRows` the first is the height. The second has rows of zeros, whose
-    parameter stays zero.
+    These are the rows of the heights; matrix (2, 2) and right-hand side (2,) of the offset's own
+    equations; and what ties without the offset add to their own, (t, 3, 3) and (t, 3). Of the two
+    image axes of `TieRows` the first is the height. The second has rows of zeros, whose parameter
+    stays zero.
     """
     # Of each height: surface + offset - height = 0, weighed by the roughness.
     observed = heights.observed(ties)

@@ -11,7 +11,15 @@ from termsel_block.geometry.frame import BoolArray, FloatArray, IntArray
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """The ties in one image: index of each tie, and its line and sample, shapes (n,) and (n, 2)."""
+    """The ties that are seen in one image.
+
+    Parameters
+    ----------
+    tie : ndarray of int, shape (n,)
+        Index of each among all ties of the block.
+    position : ndarray, shape (n, 2)
+        Its line and sample [px].
+    """
 
     tie: IntArray
     position: FloatArray
@@ -19,7 +27,27 @@ class Measured:
 
 @dataclass(eq=False)
 class State:
-    """Unknowns and variances while they are estimated; all in px and metres of the frame."""
+    """The unknowns of a block, and variances, while steps change them.
+
+    Parameters
+    ----------
+    cameras : list of Camera
+        One for each image.
+    parameters : list of ndarray, shape (p,)
+        Of each image's camera, in standard deviations of their priors.
+    ties : ndarray, shape (t, 3)
+        Positions of the ties in the frame [m].
+    variances : list of ndarray, shape (p,)
+        Of the priors of the parameters of each image.
+    sigma_ties : float
+        Standard deviation of a tie's line or sample [px].
+    sigma_control : float
+        Factor of the stated standard deviations of control.
+    freedom_control : float
+        From how many measurements that factor is known.
+    in_use, control_in_use : list of ndarray of bool
+        Which ties (n,) and which control rows (k,) of each image are in the adjustment.
+    """
 
     cameras: list[Camera]
     parameters: list[FloatArray]
@@ -28,7 +56,6 @@ class State:
     sigma_ties: float = 1.0
     sigma_control: float = 1.0
     freedom_control: float = 4.0
-    """From how many measurements that standard deviation is known."""
     in_use: list[BoolArray] = field(default_factory=list)
     control_in_use: list[BoolArray] = field(default_factory=list)
 
