@@ -115,7 +115,7 @@ def test_so_few_points_are_held_out_from_what_all_choose(n: int, heights: bool) 
 
 @pytest.mark.parametrize(("rows", "words"), [
     (["a,10,10,0,0,5"],
-     "only 1 control point; rfm-terms needs at least 2 control points. Measure more."),
+     "only 1 control point; at least 2 control points are needed. Measure more."),
     (["a,10,10,0,0,5", "b,20,20,10,10,6", "c,30,30,20,20,5"], "on one straight line"),
     (["a,10,10,0,0,5", "b,10,10,10,10,6"], "the same place in the image"),
     (["a,10,10,0,0,5", "b,20,20,0,0,5"], "have the same ground coordinates"),

@@ -309,7 +309,7 @@ def test_a_plane_model_locates_without_heights(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("text", "arguments", "message"), [
     ("id,line,sample\na,1,2\n", [], "add --inverse"),
     ("id,x,y,z\na,59,36,\n", [], "line 2, column 'z': the height is blank"),
-    ("id,x,y,z\na,59,36,1\n", ["--dem", "d.tif"], "--dem and --height require --inverse"),
+    ("id,x,y,z\na,59,36,\n", ["--dem", "d.tif"], "d.tif: this file does not exist"),
     ("id,line,sample\na,1,2\n", ["--inverse"], "Give --dem FILE or --height H"),
     ("id,line,sample\na,1,2\n", ["--inverse", "--height", "nan"], "cannot be nan"),
     ("id,line,sample\na,1,2\n", ["--inverse", "--height", "1", "--dem", "d.tif"], "exclude"),

@@ -168,7 +168,7 @@ BAD_FILES = {
     "three points for 39 terms": (
         lambda f, t: some_points(f, t, 3),
         "only 1 control point, next to 1 selection point and 1 independent check point; "
-        "rfm-terms needs at least 3 control points."),
+        "at least 3 control points are needed."),
     "all points on one line": (
         straight_line, "all control features lie on one straight line on the ground. Add control "
         "away from that line: a model needs an area."),
@@ -192,7 +192,7 @@ BAD_FILES = {
         "in EPSG:4979. x and y look swapped: --set swapped=xy exchanges them."),
     "row too short": (
         lambda f, t: written(t, b"id,line,sample,x,y,z\nA,1,2,3\n"),
-        "line 2: the row has 4 cells, but the header has 6. Every row needs one cell"),
+        "line 2: the row ends after 4 of 6 cells, before y, z. Complete it, or delete it."),
     "two points in one place": (
         lambda f, t: written(t, b"id,line,sample,x,y,z\nA,1,2,3,4,5\nB,9,9,3,4,5\n"),
         "line 3: points 'A' and 'B' have the same ground coordinates. Remove one of them"),

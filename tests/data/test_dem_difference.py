@@ -73,7 +73,7 @@ def test_feet_are_told_from_a_geoid(foot: float) -> None:
     found = dem_difference(control / foot, control + RNG.normal(0.0, 1.0, 8))
     assert found is not None
     assert found.contradicts
-    assert found.sentence().endswith("feet and metres?")
+    assert found.sentence().endswith("is one of them in feet?")
 
 
 def test_kilometres_are_told_whichever_side_they_are() -> None:
@@ -83,7 +83,7 @@ def test_kilometres_are_told_whichever_side_they_are() -> None:
         assert found is not None
         assert found.contradicts
         assert not found.in_feet
-        assert found.sentence().endswith("kilometres and metres?")
+        assert found.sentence().endswith("is one of them in kilometres?")
     # Low ground that the DEM knows nothing of is in no unit.
     other = dem_difference(RNG.uniform(0.0, 4.0, 8), np.full(8, 700.0))
     assert other is not None

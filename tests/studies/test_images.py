@@ -38,7 +38,7 @@ def test_an_image_that_cannot_be_is_a_row_whatever_its_problem(call: Call, tmp_p
     study = termsel.compare(data=[{"points": str(tmp_path / "image0.csv"), "crs": "local"},
                                   {"lines": str(tmp_path / "lines.csv"), "crs": "local"}])
     assert [row["state"] for row in study.rows] == ["failed", "done"]
-    assert "1 is control; owdis-lines needs at least 2 control lines" in study.rows[0]["reason"]
+    assert "1 is control; at least 2 control lines are needed" in study.rows[0]["reason"]
     done = call("compare", "--lines", tmp_path / "lines.csv", "--crs", "local", "--out",
                 tmp_path / "out")
     assert done.exit_code == 2

@@ -244,7 +244,7 @@ def test_out_is_checked_by_recomputation(package: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("change", "message"), [
     (lambda said: said.pop("sets"), "is no file of results of a benchmark"),
-    (lambda said: said.update(schema="other"), "has the schema 'other'"),
+    (lambda said: said.update(schema="other"), "its schema is 'other'"),
     (lambda said: said["sets"]["frame-1"].update(sha256="0"), "another version of the set"),
     (lambda said: said["sets"].update(moon={"sha256": "0", "rmse": 1}), "names the set 'moon'"),
     (lambda said: said["method"].update(kind="magic"), "a method of the kind 'magic'"),

@@ -247,7 +247,8 @@ def test_the_first_screen_of_a_block_has_twelve_lines(images: int, vendors: Simu
     lines = first_screen(msgspec.structs.replace(record, images=many), "adjusted").splitlines()
     assert len(lines) <= LINES == 12
     assert max(map(len, lines)) <= 88
-    assert (f"{images - 2} more certain images: summary.txt has all." in lines) == (images > 3)
+    others = f"{images - 2} image{'s' if images != 3 else ''} more, with less uncertainty: "
+    assert (f"{others}summary.txt has all." in lines) == (images > 3)
     assert lines[-1].startswith(f"Saved     adjusted/    Next: termsel plan adjusted/"
                                 f"{least_certain.name} ")
 

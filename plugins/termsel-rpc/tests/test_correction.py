@@ -260,9 +260,9 @@ def test_an_rpc_of_another_place_is_named_and_not_used(data_folder: Path) -> Non
     other = read_rpc(data_folder / "rpc" / "original" / "rpc_WV3.xml")
     result = termsel.run(features=replace(scene(5), rpc=other))
     assert not result.strategy.chosen.startswith("rpc")  # type: ignore[union-attr]
-    assert any("The RPC is not used: the RPC rpc_WV3.xml covers longitude" in note
+    assert any("The RPC is not used: rpc_WV3.xml is of another place (" in note
                for note in result.notes)
-    with pytest.raises(termsel.TermselError, match=r"one point is not enough.*covers"):
+    with pytest.raises(termsel.TermselError, match=r"one point is not enough.*another place"):
         termsel.run(features=replace(scene(1), rpc=other))
 
 

@@ -277,13 +277,16 @@ def _show_plan(study: Path | None, keys: dict[str, Any], workers: int) -> None:
     total = 0.0
     cells = 0
     rows = []
+    ended_early = False
     for kind, number, seconds, reason in estimate(study, **keys):
+        ended_early |= reason.startswith("out of time")
         rows.append((*kind, str(number), "-" if seconds is None else f"{seconds:.2f}", reason))
         total += (seconds or 0.0) * number
         cells += number
     print_table(("problem", "strategy", "model", "criterion", "solver", "runs", "s each", ""),
                 rows)
-    echo(f"\n{counted(cells, 'run')}; about {duration(total / workers)} with "
+    about = "more than" if ended_early else "about"
+    echo(f"\n{counted(cells, 'run')}; {about} {duration(total / workers)} with "
          f"{counted(workers, 'worker')}.")
     if workers == 1 and total > 60:
         echo("--workers N runs N of them at a time.")

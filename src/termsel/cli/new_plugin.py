@@ -63,7 +63,9 @@ def new_plugin(name: str, kind: str, parent: Path) -> None:
     texts = package(name, *(kind_name.strip() for kind_name in kind.split(",")))
     folder = parent / name
     if not parent.is_dir():
-        raise TermselError("this folder does not exist", file=parent, hint="Make it first.")
+        raise TermselError("this is a file, expected a folder" if parent.exists() else
+                           "this folder does not exist", file=parent,
+                           hint="Make it first, or choose another: --into DIR.")
     # mkdir refuses an existing folder in one step: nothing can come in between.
     try:
         folder.mkdir()
@@ -90,8 +92,9 @@ def package(name: str, *kinds: str) -> dict[str, str]:
     """
     for kind in kinds:
         if not kind:
-            raise TermselError("--kind leaves a kind blank",
-                               hint="Name kinds as in --kind model,solver.")
+            raise TermselError(f"--kind {','.join(kinds)!r} leaves a kind blank",
+                               hint="Name one kind, or several with a comma between: "
+                                    f"--kind model,solver. Known: {', '.join(NEW_KINDS)}.")
         if kind not in NEW_KINDS:
             raise unknown_name("kind of plugin", kind, NEW_KINDS)
     if len(set(kinds)) < len(kinds):

@@ -14,13 +14,14 @@ from termsel.cli.options.shared import final_option, remote_option
 @click.command()
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
 @click.option("--points", metavar="FILE", required=True, type=click.Path(path_type=Path),
-              help="Table id,x,y,z of ground points in the CRS of the control; with --inverse "
-                   "id,line,sample of image points.")
+              help="Table id,x,y,z of ground points in the CRS of the control, or GeoJSON and "
+                   "other vector files; with --inverse id,line,sample of image points.")
 @COLUMNS_OPTION
 @click.option("--inverse", is_flag=True, help="From the image to the ground.")
 @click.option("--dem", metavar="FILE", type=click.Path(path_type=Path),
-              help="With --inverse: raster of heights of the ground.")
-@click.option("--height", type=float, help="With --inverse: height of the ground.")
+              help="Raster of heights of the ground, for points without heights and for "
+                   "--inverse.")
+@click.option("--height", type=float, help="Height of the ground, instead of a raster.")
 @click.option("--output", "-o", metavar="FILE", type=click.Path(path_type=Path),
               help="Table to write; stdout by default, and for -.")
 @final_option

@@ -6,9 +6,12 @@ click names types of Python ("5m is not a valid float range"); these name what t
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from difflib import get_close_matches
 
 import click
+
+from termsel.core.errors import first_of
 
 _NUMBER = re.compile(r"[+-]?\d+(\.\d*)?")
 _NOT_VALID = re.compile(r"'(.*)' is not a valid (integer|float)", re.DOTALL)
@@ -17,6 +20,8 @@ _NO_LIMIT = 1e8
 """A largest number from which on nobody reaches it."""
 
 _EXTRA = re.compile(r"Got unexpected extra arguments? \((.*)\)", re.DOTALL)
+_IS_FILE = re.compile(r"Directory '(.*)' is a file", re.DOTALL)
+_IS_FOLDER = re.compile(r"File '(.*)' is a directory", re.DOTALL)
 _LOST = re.compile(r"(?:Directory|File|Path) '(.*)' does not exist", re.DOTALL)
 
 
@@ -66,14 +71,42 @@ def _no_such_option(error: click.NoSuchOption) -> str:
     key = error.option_name.lstrip("-").replace("-", "_")
     if any("--set" in param.opts for param in params) and key in _options_of_set():
         return f"there is no option {error.option_name}. Set it by --set {key}=VALUE."
-    near = get_close_matches(error.option_name, error.possibilities or (), n=1, cutoff=0.0)
-    if near:
-        return f"there is no option {error.option_name}. Did you mean {near[0]}?"
     options = [max(param.opts, key=len) for param in params
                if isinstance(param, click.Option) and not param.hidden]
+    near = _near_option(error.option_name, options)
+    if near:
+        return f"there is no option {error.option_name}. Did you mean {near}?"
+    others = _commands_with(error.option_name, error.ctx)
+    elsewhere = f" It belongs to termsel {first_of(others, 4)}." if others else ""
     # A command of many options is left to its help.
     listed = f" Known: {', '.join(options)}." if 0 < len(options) <= _MOST_OPTIONS else ""
-    return f"there is no option {error.option_name}.{listed}"
+    return f"there is no option {error.option_name}.{elsewhere}{listed}"
+
+
+def _near_option(typed: str, options: Sequence[str]) -> str:
+    """Return the option that is probably meant; "" if none is near."""
+    names = {option.lstrip("-"): option for option in options}
+    word = typed.lstrip("-").replace("_", "-").lower()
+    meant = [name for name in _ALSO_CALLED.get(word, ()) if name in names]
+    # --out for --output, and the other way round.
+    begun = [name for name in names if len(word) >= _LEAST_BEGUN
+             and (name.startswith(word) or word.startswith(name))]
+    near = [*meant, *begun, *get_close_matches(word, names, n=1, cutoff=_ALIKE)]
+    return names[near[0]] if near else ""
+
+
+def _commands_with(option: str, ctx: click.Context | None) -> list[str]:
+    """Return the commands of termsel itself that have an option, other than the one of a context.
+    """
+    if ctx is None or ctx.parent is None or not option.startswith("--"):
+        return []
+    group = ctx.parent.command
+    if not isinstance(group, click.Group):
+        return []
+    commands = {name: group.get_command(ctx.parent, name) for name in group.list_commands(ctx)}
+    return [name for name, command in commands.items()
+            if command is not None and name != ctx.info_name
+            and any(option in param.opts for param in command.params)]
 
 
 def _options_of_set() -> set[str]:
@@ -90,6 +123,22 @@ def _options_of_set() -> set[str]:
             names |= {option.name for option in owned}
     return names
 
+
+_ALSO_CALLED = {
+    "epsg": ("crs",), "srs": ("crs",), "t-srs": ("crs",), "s-srs": ("crs",),
+    "projection": ("crs",), "gcps": ("points",), "gcp": ("points",), "control": ("points",),
+    "tr": ("res",), "resolution": ("res",), "gsd": ("res",), "pixel-size": ("res",),
+    "force": ("overwrite",), "yes": ("overwrite",), "runs": ("seeds", "repeats"),
+    "repeats": ("seeds",), "seed": ("seeds",), "elevation": ("dem",), "dsm": ("dem",),
+    "dtm": ("dem",), "heights": ("dem",), "silent": ("quiet",), "folder": ("out",),
+    "format": ("to",)}
+"""Options by how other programs call them."""
+
+_ALIKE = 0.65
+"""Share of matching characters from which on an option is taken for misspelt."""
+
+_LEAST_BEGUN = 3
+"""Characters from which on the beginning of a name shows it."""
 
 _MOST_OPTIONS = 20
 """Options of a command that a message lists."""
@@ -157,6 +206,11 @@ def _bad_value(error: click.BadParameter, param: click.Parameter) -> str:
     lost = _LOST.match(message)
     if lost:
         return f"{name} is {lost[1]!r}, which does not exist. Check the name and the folder."
+    other_kind = _IS_FILE.match(message) or _IS_FOLDER.match(message)
+    if other_kind:
+        kinds = "file, expected a folder" if _IS_FILE.match(message) else \
+            "folder, expected a file"
+        return f"{name} is {other_kind[1]!r}, which is a {kinds}. Type {name} {_value_name(param)}."
     return f"{name}: {message.rstrip('.')}. Type {name} {_value_name(param)}."
 
 

@@ -89,9 +89,9 @@ class DemDifference:
                     f"{_rounded_in_words(self.sigma)} m")
         cause = ""
         if self.in_feet:
-            cause = "feet and metres?"
+            cause = "is one of them in feet?"
         elif self.in_kilometres:
-            cause = "kilometres and metres?"
+            cause = "is one of them in kilometres?"
         return off_as_a_whole(self.above, "the control", evidence, effect, self.dem, cause)
 
 

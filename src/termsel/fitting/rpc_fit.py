@@ -104,8 +104,10 @@ def rpc_of(fitted: Fit, heights: tuple[float, float] | None = None) -> RpcFit:
         low, high = best.heights
         log.log(logging.INFO if best.worst <= GOOD else logging.WARNING,
                 "RPC: refitted to the model in longitude, latitude and height with %s terms. It "
-                "differs from the model by at most %.2g px (rms %.2g px), over the image and "
-                "heights from %.0f to %.0f.", best.how, best.worst, best.rms, low, high)
+                "differs from the model by at most %.2g px (rms %.2g px), over the image%s.",
+                best.how, best.worst, best.rms,
+                "; the points have no heights, so it ignores relief" if low == high
+                else f" and heights from {low:.0f} to {high:.0f} m")
         if best.excluded_part:
             log.warning("Warning: %s. The RPC follows the model in the rest alone.",
                         best.excluded_part)

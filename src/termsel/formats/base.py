@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from copy import copy
@@ -264,15 +265,22 @@ def image_of(path: Path, images: Iterable[_Image], asked_for: _Image | None, opt
 
     Images with names are parts of the file, so that a study takes them all.
     """
-    names_in_file = sorted(set(images))
+    counts = Counter(images)
+    names_in_file = sorted(counts)
     name = names_in_file[0] if asked_for is None and len(names_in_file) == 1 else asked_for
     if name is None or name not in names_in_file:
-        names = [f"{image:g}" if isinstance(image, float) else image or "without a name"
-                 for image in names_in_file]
+        # Those with most points first: an image of one or two is too little for most models.
+        ordered = sorted(names_in_file, key=lambda image: -counts[image])
+        has_counts = max(counts.values()) > 1
+        names = []
+        for image in ordered:
+            label = f"{image:g}" if isinstance(image, float) else image or "without a name"
+            names.append(f"{label} ({counts[image]})" if has_counts else label)
+        noun = "images, with their numbers of points" if has_counts else "images"
         each = "" if any(isinstance(image, float) for image in names_in_file) else \
-            ", or fit each with termsel compare --points FILE"
-        raise TermselError(f"the file has points of the images {first_of(names)}", file=path,
-                           hint=f"Choose one with --set {option}{each}.")
+            ", or fit each with termsel compare --points FILE --out DIR"
+        raise TermselError(f"the file has points of {len(names)} {noun}: {first_of(names)}",
+                           file=path, hint=f"Choose one with --set {option}{each}.")
     return name
 
 

@@ -11,13 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from termsel.core.errors import GIS, TermselError, first_of, printable, requires
+from termsel.core.errors import GIS, TermselError, first_of, printable, requires, rounded
 from termsel.data.coordinates.crs import LOCAL, to_wgs84
 from termsel.data.coordinates.longitudes import nearest
 from termsel.data.coordinates.metres import height_unit
 from termsel.data.dem_difference import DemDifference, dem_difference
 from termsel.data.features import BoolArray, FeatureSet, FloatArray
 from termsel.data.rasters import open_raster, positions, refuse_empty_giant
+from termsel.formats.readers.tables import VOID_HEIGHTS
 from termsel.formats.vertical import (
     Heights,
     metres_of_band,
@@ -308,7 +309,13 @@ def write_ellipsoidal(surface: Dem, path: Path, bounds: tuple[float, float, floa
 
 def surface_of(dem: Path | str | None, crs: str, height: float,
                ) -> AbstractContextManager[Dem | float]:
-    """Open a raster of heights for coordinates in a CRS, or give a constant height instead."""
+    """Open a raster of heights for coordinates in a CRS, or give a constant height instead.
+
+    Raises TermselError for a height that rasters have where there is none, such as -9999.
+    """
+    if dem is None and height in VOID_HEIGHTS:
+        raise TermselError(f"{height:g} is no height, but what rasters have where there is none",
+                           hint="Give the height of the ground: --height H.")
     return nullcontext(height) if dem is None else open_dem(Path(dem), crs)
 
 
@@ -359,6 +366,7 @@ def _say_far_height(features: FeatureSet, project: Projection, height: float) ->
     heights = heights[np.isfinite(heights)]
     if not len(heights):
         return
+    unit = height_unit(features.crs)
     lowest, highest = float(heights.min()), float(heights.max())
     beyond = max(lowest - height, height - highest)
     if beyond <= highest - lowest:
@@ -368,10 +376,10 @@ def _say_far_height(features: FeatureSet, project: Projection, height: float) ->
     # A model of the plane does not see heights.
     if pixels >= FAR_HEIGHT_PIXELS:
         side = "above" if above > 0 else "below"
-        log.warning("Warning: the height %.6g is %.5g %s the control (%.6g to %.6g): %.3g px in "
-                    "the image, where the model was not tested. Give the height of the ground, in "
-                    "the unit of the control.",
-                    height, beyond, side, lowest, highest, pixels)
+        log.warning("Warning: the height %s m is %s m %s the control (%s to %s m): %s px in the "
+                    "image, where the model was not tested. Give the height of the ground, in the "
+                    "unit of the control.", f"{height * unit:,.0f}", rounded(beyond * unit), side,
+                    f"{lowest * unit:,.0f}", f"{highest * unit:,.0f}", rounded(pixels))
 
 
 def with_heights(features: FeatureSet, dem: Path) -> FeatureSet:

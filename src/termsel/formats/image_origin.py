@@ -142,6 +142,12 @@ def require_inside(features: FeatureSet, size: tuple[int, int] | None,
     before = positions < -0.5 - EDGE_MARGIN
     if size is not None and (last > np.array(size) - 0.5 + EDGE_MARGIN).any():
         beyond = positions > np.array(size) - 0.5 + EDGE_MARGIN
+        if (last[::-1] <= np.array(size) - 0.5 + EDGE_MARGIN).all() and not before.any():
+            raise TermselError(
+                f"line and sample look swapped: they extend to line {last[0]:g} and sample "
+                f"{last[1]:g}, and the image has {size[0]} lines and {size[1]} samples",
+                file=image, hint="Exchange them: --set swapped=line-sample. Or give the image in "
+                                 "which the features were measured.")
         raise other_image(size, f"but features extend to line {last[0]:g} and sample {last[1]:g}"
                           f"{_few_outside(features, beyond)}", image)
     if before.any():

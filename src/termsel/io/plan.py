@@ -15,7 +15,7 @@ from termsel.fitting.fit import Fit
 from termsel.fitting.next_places import rank_places
 from termsel.fitting.scene import scene_grid
 from termsel.formats.readers.csv_tables import table_text
-from termsel.io.project import read_ground
+from termsel.io.project import HEIGHT_MISSING, read_ground
 
 if TYPE_CHECKING:
     from termsel.results.result import Result
@@ -74,7 +74,13 @@ def plan(result: Result, count: int, candidates: Path | None = None) -> Plan:
         ids = tuple(f"N{i + 1:03d}" for i in range(len(scene)))
         positions = scene
     else:
-        named, positions = read_ground(result, candidates)
+        try:
+            named, positions = read_ground(result, candidates)
+        except TermselError as error:
+            if error.what.endswith(HEIGHT_MISSING):
+                error.hint = "Give heights in the file. termsel project with --dem FILE, or " \
+                    "--height H, writes a table that has them."
+            raise
         ids = tuple(named)
     is_seen = np.isfinite(fitted.project(positions)).all(axis=1)
     if not is_seen.any() or not len(scene):

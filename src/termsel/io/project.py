@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,15 +15,21 @@ from termsel.data.coordinates.crs import is_geographic, normalise, short, with_s
 from termsel.data.coordinates.longitudes import nearest
 from termsel.data.coordinates.plausible import check_ground
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points, select
-from termsel.data.tables.columns import COORDINATES
+from termsel.data.tables.columns import COORDINATES, parse_columns
 from termsel.fitting.extrapolation import FAR_OUTSIDE, outside
 from termsel.formats.base import read_once
-from termsel.formats.heights import say_difference, surface_of
+from termsel.formats.heights import say_difference, surface_of, with_heights
 from termsel.formats.readers.csv_tables import table_text
+from termsel.formats.readers.geojson_points import table_of_places
 from termsel.formats.readers.tables import Table, read_table
 
 if TYPE_CHECKING:
     from termsel.results.result import Result
+
+HEIGHT_MISSING = "the height is blank, but the model requires it"
+"""What is wrong with a ground position without a height."""
+
+log = logging.getLogger(__name__)
 
 _ID = {"id": ("id", "name")}
 
@@ -38,9 +45,10 @@ def project_table(
 ) -> tuple[str, list[str]]:
     """Return points with image and ground coordinates as CSV, and warnings.
 
-    The table has x, y and, for models with height, z; with `inverse`, from the image to the ground,
-    line and sample. Then the ground has the heights of the raster `dem` or the one `height`; models
-    without height need neither.
+    The table has x, y and, for models with height, z, or is a vector file of points; blank and
+    missing heights are those of the raster `dem` or the one `height`. With `inverse`, from the
+    image to the ground, it has line and sample, and `dem` or `height` is the ground; models without
+    height need neither.
 
     The CSV is headed id,line,sample,x,y,z,uncertainty_line,uncertainty_sample,outside: standard
     deviations of what the model predicts (`termsel.Fit.sigma`), and how far a place is outside the
@@ -52,15 +60,15 @@ def project_table(
     """
     model = result.fit.model
     crs = result.fit.control.crs
+    if dem is not None and height is not None:
+        raise TermselError("--dem and --height exclude each other", hint="Give one of them.")
+    if height is not None and not np.isfinite(height):
+        raise TermselError(f"the height of the ground cannot be {height}",
+                           hint="Give a finite number.")
     if inverse:
         table = _table(path, columns, "line", "sample")
         ids = table.ids()
         image = table.stack("line", "sample")
-        if dem is not None and height is not None:
-            raise TermselError("--dem and --height exclude each other", hint="Give one of them.")
-        if height is not None and not np.isfinite(height):
-            raise TermselError(f"the height of the ground cannot be {height}",
-                               hint="Give a finite number.")
         if dem is None and height is None and model.uses_height:
             raise TermselError("the ground position depends on the height",
                                hint="Give --dem FILE or --height H.")
@@ -70,11 +78,8 @@ def project_table(
         if dem is None and height is None:
             ground[:, 2] = np.nan
     else:
-        if dem is not None or height is not None:
-            raise TermselError("--dem and --height require --inverse",
-                               hint="Add --inverse, or remove them.")
         try:
-            ids, ground = read_ground(result, path, columns)
+            ids, ground = read_ground(result, path, columns, dem, height)
         except TermselError as error:
             if _lacks_a_column(error) and _has_image_positions(path, columns):
                 error.hint = ("These are image positions: add --inverse, with --dem FILE or "
@@ -143,13 +148,15 @@ def _control(result: Result) -> FloatArray:
     return original.control.take(original.used).ground_vertices()
 
 
-def read_ground(result: Result, path: Path, columns: str = "") -> tuple[list[str], FloatArray]:
+def read_ground(result: Result, path: Path, columns: str = "", dem: Path | None = None,
+                height: float | None = None) -> tuple[list[str], FloatArray]:
     """Return ids and ground positions, shape (n, 3), of a table, as `project_table` reads it."""
     model = result.fit.model
     crs = result.fit.control.crs
     names = ("x", "y", "z") if model.uses_height else ("x", "y")
+    fills = dem is not None or height is not None
     try:
-        table = _table(path, columns, *names)
+        table = _table(path, columns, *names, flat=fills)
     except TermselError as error:
         if _lacks_a_column(error) and _has_image_positions(path, columns):
             error.hint = f"These are image positions; ground positions {','.join(names)} are " \
@@ -159,17 +166,28 @@ def read_ground(result: Result, path: Path, columns: str = "") -> tuple[list[str
         raise TermselError(f"the file declares the CRS {table.crs}, but the control is in {crs}",
                            file=path, hint="Transform the points to the CRS of the control.")
     ground = np.full((len(table.lines), 3), np.nan)
+    names = tuple(name for name in names if name in table.columns)
     ground[:, :len(names)] = table.stack(*names)
-    # The last coordinate, z where the model has heights: others may not be blank.
-    blank = np.flatnonzero(np.isnan(ground[:, len(names) - 1]))
-    if blank.size:
-        raise table.error("the height is blank, but the model requires it", int(blank[0]),
-                          names[-1], "Fill it in, or leave the row out.")
-    return table.ids(), ground
+    ids = table.ids()
+    if not model.uses_height:
+        return ids, ground
+    blank = np.flatnonzero(np.isnan(ground[:, 2]))
+    if fills and not blank.size:
+        log.warning("Note: all points have heights, so %s is not used.",
+                    "--height" if dem is None else "--dem")
+    elif blank.size and dem is not None:
+        places = FeatureSet(Points(tuple(ids), np.zeros((len(ids), 2)), ground), crs=crs)
+        ground = with_heights(places, dem).points.ground
+    elif height is not None:
+        ground[blank, 2] = height
+    elif blank.size:
+        raise table.error(HEIGHT_MISSING, int(blank[0]), "z",
+                          "Give heights by --dem FILE or --height H, or in the file.")
+    return ids, ground
 
 
 def _lacks_a_column(error: TermselError) -> bool:
-    return error.what.startswith("there is no column")
+    return error.what.startswith(("there is no column", "there are no columns"))
 
 
 def _has_image_positions(path: Path, columns: str) -> bool:
@@ -181,7 +199,11 @@ def _has_image_positions(path: Path, columns: str) -> bool:
     return True
 
 
-def _table(path: Path, columns: str, *meanings: str) -> Table:
+def _table(path: Path, columns: str, *meanings: str, flat: bool = False) -> Table:
+    """Return the table of a file, also of the points of a vector file."""
     aliases = _ID | {meaning: COORDINATES[meaning] for meaning in meanings}
+    places = table_of_places(path, aliases, parse_columns(columns), flat=flat)
+    if places is not None:
+        return places
     with read_once(path) as file:
-        return replace(read_table(file, aliases, columns=columns), path=path)
+        return replace(read_table(file, aliases, columns=columns, flat=flat), path=path)

@@ -546,7 +546,7 @@ def _features_of_files(points: Path | None, lines: Path | None, *, areas: Path |
         try:
             sets[path] = exchanged_back(reader.read(path), swapped)
         except TermselError as error:
-            if formats and error.what.startswith("there is no column"):
+            if formats and error.what.startswith(("there is no column", "there are no columns")):
                 error.hint = f"{error.hint} Without --format the content tells the format."
             raise
     # Counted from the centre of the upper-left pixel from here on.
@@ -591,9 +591,11 @@ def _features_of_files(points: Path | None, lines: Path | None, *, areas: Path |
 
 def _say_doubts(features: FeatureSet) -> None:
     """Warn of axes that look swapped, and of coordinates that are not all of one kind."""
-    say_turned(features)
+    # Of coordinates of two kinds it means nothing how they are turned.
     if mixed := note_on_mixed(features):
         log.warning("Warning: %s", mixed)
+    else:
+        say_turned(features)
 
 
 def _say_misspelt(path: Path, features: FeatureSet) -> None:

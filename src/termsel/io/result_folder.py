@@ -10,7 +10,7 @@ from itertools import product
 from pathlib import Path
 
 from termsel.core.errors import TermselError, first_of
-from termsel.core.files.atomic import private_folder, put_in_place, sync, utf8_bytes
+from termsel.core.files.atomic import make_folder, private_folder, put_in_place, sync, utf8_bytes
 from termsel.core.files.lock import lock_folder
 from termsel.core.files.names import (
     CERTIFICATE,
@@ -65,12 +65,8 @@ def lock_output_folder(folder: Path, *, overwrite: bool = False) -> Iterator[Non
     work in, is that of a study, or has a result that may not be replaced, or files that would be
     replaced and are not those of a result.
     """
-    try:
-        # The folder may be there: only a result or a study in it is refused.
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise TermselError(f"cannot make the folder {folder}: {error.strerror}",
-                           hint="Choose another --out.") from error
+    # The folder may be there: only a result or a study in it is refused.
+    make_folder(folder)
     if not os.access(folder, os.W_OK | os.X_OK):
         raise TermselError(f"cannot write to the folder {folder}", hint="Choose another --out.")
     with lock_folder(folder):

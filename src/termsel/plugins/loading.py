@@ -9,6 +9,7 @@ import time
 import traceback
 from collections.abc import Callable, Generator, Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
 from functools import cache, partial, wraps
 from importlib.machinery import PathFinder
 from importlib.metadata import Distribution, EntryPoint, distributions
@@ -41,7 +42,7 @@ T = TypeVar("T")
 LIMIT = 30.0
 """Seconds that an import, or a hook, may take; a plugin that takes longer is left out."""
 
-SOON = 5.0
+SOON = 10.0
 """Seconds after which a message names the plugin that is waited for."""
 
 LISTENER = f"{PROJECT}_run_finished"
@@ -81,7 +82,8 @@ class Remark:
 
     def __str__(self) -> str:
         package = f"{self.distribution} {self.version}".strip()
-        return f"plugin {self.plugin!r} of {package}: {self.what}"
+        plugin = f"plugin {self.plugin!r} of " if self.plugin else ""
+        return f"{plugin}{package}: {self.what}"
 
 
 def attempt(call: Callable[[], T], package: str = OWN, seconds: float | None = None,
@@ -116,8 +118,9 @@ def attempt(call: Callable[[], T], package: str = OWN, seconds: float | None = N
 
 
 def _tell(package: str) -> None:
-    log.warning("Note: the import or a hook of %s is taking long. Ctrl-C ends the command; "
-                "TERMSEL_PLUGINS= (empty) runs without plugins.", distribution_of(package))
+    log.warning("Note: loading the package %s has taken %g s so far; the machine may be busy. "
+                "After %g s it is left out. Ctrl-C ends the command.",
+                distribution_of(package), SOON, LIMIT)
 
 
 @dataclass
@@ -210,8 +213,10 @@ class Loader:
             names_seen.add(name)
         for name in sorted((chosen_names or set()) - names_seen):
             self._missing.append(Plugin("", name, ""))
+            near = get_close_matches(name, names_seen - {PROJECT}, n=1)
+            question = f". Did you mean {near[0]}?" if near else ""
             self.failures.append(self._missing[-1].remark(
-                f"named in {PLUGINS_VARIABLE}, but not installed"))
+                f"named in {PLUGINS_VARIABLE}, but not installed{question}"))
         return points
 
     def _load(self, slot: Slot) -> None:

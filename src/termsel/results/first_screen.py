@@ -18,6 +18,7 @@ from termsel.data.record.figures import (
     Outlier,
 )
 from termsel.data.record.record import Record, WhatWasRead
+from termsel.data.record.search import RPC_UNUSED
 from termsel.results.accuracy import accuracy_lines, is_exact, lattice_of, reused_points
 from termsel.results.blocks import Fact
 from termsel.results.verdict import (
@@ -204,7 +205,7 @@ def _model(record: Record) -> str:
         best = min(figures, key=lambda name: figures[name], default="") == strategy.chosen
         how = f" ({'best of' if best else 'chosen among'} {len(figures)} in cross-validation)" \
             if len(figures) > 1 else ""
-        rpc = f". {strategy.rpc}" if strategy.rpc else ""
+        rpc = f". {strategy.rpc}" if strategy.rpc and not _unused_rpc(record) else ""
         return f"{title}{how}{rpc}"
     selection = record.selection
     offered = record.offered
@@ -444,7 +445,7 @@ def _warnings(record: Record) -> list[str]:
     doubt = read.doubt.casefold() if read else ""
     is_exact_said = is_exact(record)
     return [*_urgent(record), *(note for note in record.notes if note and not _is_shown(note)
-                                and note != heights
+                                and note not in (heights, _unused_rpc(record))
                                 and not (is_exact_said and EXACTLY in note)
                                 and not (doubt and note.casefold().startswith(doubt))
                                 and not (reused and " no longer independent: " in note))]
@@ -458,6 +459,12 @@ def _caution_on_heights(record: Record) -> str:
     # A note says the same, and what it does to a map in px.
     opening = doubt.partition("; ")[0]
     return next((note for note in record.notes if note.startswith(opening)), doubt)
+
+
+def _unused_rpc(record: Record) -> str:
+    """Return why the RPC that was given is not used; "" if it is, or if there is none."""
+    reason = record.strategy.rpc if record.strategy else ""
+    return reason if reason.startswith(RPC_UNUSED) else ""
 
 
 def _cautions(warnings: Sequence[str], room: int) -> Iterator[Fact]:
@@ -517,6 +524,8 @@ def _urgent(record: Record) -> Iterator[str]:
         # Without the name of the raster and how the difference was found it fits into a line.
         difference, _, found_by = heights.rpartition(" (median of ")
         yield f"the DEM {difference[difference.rindex(' is ') + 1:]}{found_by.partition(')')[2]}"
+    if unused := _unused_rpc(record):
+        yield unused
     if read and read.two_groups:
         shift = read.two_groups.partition(", as if")[0]
         yield f"check the datum of the points: {shift}"
@@ -530,8 +539,12 @@ def next_step(record: Record, folder: str = "") -> str:
     `folder` is where the result was written, "" if it was not.
     """
     read = record.data.read
-    if read and (read.doubt or read.mixed):  # what look like blunders may come from these
+    # What look like blunders may come from these.
+    if read and read.mixed:
         return "Next: correct the coordinates, then run again"
+    if read and read.doubt:
+        pair = "line-sample" if read.doubt.startswith("l") else "xy"
+        return f"Next: run again with --set swapped={pair}"
     off = off_option(record)
     # A command that is complete is better than advice.
     if off and len(off) <= _LONGEST_OPTION:

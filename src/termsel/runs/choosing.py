@@ -18,7 +18,7 @@ from termsel.core.interrupts import take_pending_interrupt
 from termsel.data.features import FloatArray, Points, no_points, select
 from termsel.data.fit_data import FitData
 from termsel.data.record.figures import Predicted, determined_exactly
-from termsel.data.record.search import CandidateRow, SearchLimits, Strategy
+from termsel.data.record.search import RPC_UNUSED, CandidateRow, SearchLimits, Strategy
 from termsel.data.roles import ASSIGNABLE, Observations, leave_out, with_lines, with_merged_twins
 from termsel.fitting.accuracy import (
     pixel_on_ground,
@@ -376,7 +376,7 @@ def _unused_rpc(data: FitData, auto: Auto, fitted: Fit | None = None) -> str:
         reason = reasons[0]
     else:
         return ""
-    return f"The RPC is not used: {reason}."
+    return f"{RPC_UNUSED}: {reason.removeprefix('the RPC ')}."
 
 
 def _notes(model: SensorModel, observations: Observations, errors: FloatArray | None,

@@ -199,10 +199,10 @@ def notes_on_data(read: FeatureSet, observations: Observations, heights: bool,
     """
     if blank:
         yield note_on_blank(blank, read)
-    if turned := note_on_turned(read):
-        yield f"{turned[0].upper()}{turned[1:]}"
     if mixed := note_on_mixed(read):
         yield mixed
+    elif turned := note_on_turned(read):
+        yield f"{turned[0].upper()}{turned[1:]}"
     if jumps(read):
         yield ("The longitudes jump by a full turn between points. They were made continuous: on "
                "one side they go on beyond 180 degrees.")
@@ -293,8 +293,9 @@ def _note_on_flat(control: FitData, points: Points) -> Iterator[str]:
         yield (f"All heights are {z[0]:g}, so they were not used. If they are not known, leave "
                "them blank or take them from a raster (--dem FILE).")
     else:
-        yield (f"The heights of the {control.features.word} differ too little from a plane to "
-               "show what a height does, so they were not used.")
+        yield _question_on_unit(control.features, z) or (
+            f"The heights of the {control.features.word} differ too little from a plane to "
+            "show what a height does, so they were not used.")
     unit = height_unit(control.features.crs)
     above, does = off_plane(control, vertices[:1] + np.array([0.0, 0.0, HIGH / unit]))
     # How far an error of height moves the image, by the obliqueness of usual views.
@@ -312,6 +313,25 @@ def _note_on_flat(control: FitData, points: Points) -> Iterator[str]:
         yield (f"{counted(int(far.sum()), 'other point')} {'is' if far.sum() == 1 else 'are'} up "
                f"to {_rounded(off.max() * unit)} m above or below their plane. What this does in "
                f"the image is not known: some {_rounded(effect.max())} px, as views usually are.")
+
+
+def _question_on_unit(features: FeatureSet, z: FloatArray) -> str:
+    """Return a note that asks whether heights are kilometres, where they hardly differ; else "".
+    """
+    plan = plan_of(features.crs, features.ground_vertices())
+    spread = float(np.ptp(z)) * height_unit(features.crs)
+    # Whole metres are no kilometres.
+    if plan is None or spread >= LEAST_SPREAD or (z == np.round(z)).all():
+        return ""
+    extent = float(np.ptp(plan, axis=0).max()) / 1000
+    if extent < LEAST_EXTENT:
+        return ""
+    return (f"The heights span only {spread:.2g} m over {extent:.2g} km, so they were not used; "
+            "are they in kilometres? Then convert them to metres.")
+
+
+LEAST_SPREAD, LEAST_EXTENT = 3.0, 1.0
+"""Spread of heights [m] below which, over so many kilometres, they may be kilometres."""
 
 
 def _rounded(size: float) -> str:

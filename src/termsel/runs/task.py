@@ -62,8 +62,8 @@ CORRECTED = (" Or leave the rest out: termsel run --points FILE --rpc FILE corre
              "by one point or more.")
 
 
-def require_enough(observations: Observations, recipe: Recipe, criterion: Criterion,
-                   model: SensorModel, fewest: int) -> None:
+def require_enough(observations: Observations, criterion: Criterion, model: SensorModel,
+                   fewest: int) -> None:
     """Refuse data for a problem: too few features, all in one place, or lines in one direction.
 
     `fewest` is the fewest control features.
@@ -74,8 +74,8 @@ def require_enough(observations: Observations, recipe: Recipe, criterion: Criter
         noun = f"control {control.word.removesuffix('s')}"
         others = _others_in_words(observations)
         raise TermselError(
-            f"{_count_of_control(control)}{others}; {recipe.name} needs at least "
-            f"{counted(fewest, noun)}",
+            f"{_count_of_control(control)}{others}; at least {counted(fewest, noun)} "
+            f"{'is' if fewest == 1 else 'are'} needed",
             hint=("Measure more, or give more features the role control." if others
                   else "Measure more.")
                  + " Or choose by leave-one-out, without selection points: --criterion press."
@@ -363,7 +363,7 @@ def observe(request: Request, fewest: int = MIN_CONTROL) -> Observations:
     # Independent points need heights, too: the model must see them in the end.
     require_heights(request.model, features.with_(
         points=features.points.join_unchecked(observations.independent)))
-    require_enough(observations, recipe, criterion, request.model, fewest)
+    require_enough(observations, criterion, request.model, fewest)
     if of_data["fit_crs"] is not None:
         observations = with_fit_crs(of_data["fit_crs"], observations, request.model)
     return observations

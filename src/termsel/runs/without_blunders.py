@@ -73,7 +73,7 @@ def _task_without_blunders(task: Task, blunders: frozenset[str]) -> Task | None:
     if points:
         fewer = leave_out(observations, points)
         try:
-            require_enough(fewer, task.recipe, task.criterion, task.model, MIN_CONTROL)
+            require_enough(fewer, task.criterion, task.model, MIN_CONTROL)
             task = checked(Task(task.request, fewer))
         except TermselError:
             return None

@@ -13,7 +13,7 @@ import numpy as np
 
 from termsel.adjustment.kernels import needs_compilation
 from termsel.core.errors import TermselError, counted
-from termsel.core.files.atomic import private_folder
+from termsel.core.files.atomic import make_folder, private_folder
 from termsel.core.files.lock import lock_folder
 from termsel.core.files.names import JOURNAL
 from termsel.core.isolation.parts import part
@@ -31,7 +31,7 @@ from termsel.studies.cells.journal import Journal, read_journal
 from termsel.studies.execution.contained import contained
 from termsel.studies.execution.executors import deferred, processes, serial
 from termsel.studies.execution.progress import StudyProgress, Tally
-from termsel.studies.execution.work import Outcome, do, failed
+from termsel.studies.execution.work import OUT_OF_TIME, Outcome, do, failed
 from termsel.studies.outputs import names
 from termsel.studies.plan.data import data_of
 from termsel.studies.plan.spec import Spec, read_spec, spec_of
@@ -146,6 +146,9 @@ def compare(
         return Study(spec, labels, finished, Path(out) if out is not None else None)
 
 
+PROBE_SECONDS = 10.0
+"""Seconds after which an estimate ends a cell."""
+
 LONG_CELL_SECONDS = 20.0
 """Seconds from which on a cell is not run again to learn its time."""
 
@@ -199,7 +202,8 @@ def estimate(study: Path | str | Mapping[str, Any] | None = None, **keys: Any
 
     Arguments as for `compare`. Cells with the fewest, middling and most features are run, and the
     time of the others is interpolated: seconds are the mean of all, None if none of them ended. The
-    first is run twice, unless it takes `LONG_CELL_SECONDS`.
+    first is run twice, unless it takes `LONG_CELL_SECONDS`. A cell is ended after `PROBE_SECONDS`,
+    which then is the least that it takes, and the reason says so.
     """
     spec, folder = asked(study, keys)
     # Before anything is run: the first cell would otherwise count the compilation.
@@ -214,6 +218,7 @@ def estimate(study: Path | str | Mapping[str, Any] | None = None, **keys: Any
             continue
         sizes = [len(features[cell.data.key]) for cell in works]
         sample = _cells_of_all_sizes(works, sizes)
+        sample = [_probe(cell) for cell in sample]
         records = [do(cell, features[cell.data.key]).record for cell in sample]
         if cold or records[0].figures.get("seconds", LONG_CELL_SECONDS) < LONG_CELL_SECONDS:
             # The first run of a kind also loads or compiles what it needs.
@@ -221,8 +226,19 @@ def estimate(study: Path | str | Mapping[str, Any] | None = None, **keys: Any
         seconds = {len(features[cell.data.key]): record.figures["seconds"]
                    for cell, record in zip(sample, records, strict=True)
                    if "seconds" in record.figures}
+        for cell, record in zip(sample, records, strict=True):
+            if record.reason == OUT_OF_TIME.format(PROBE_SECONDS):
+                seconds[len(features[cell.data.key])] = PROBE_SECONDS
         yield (kind, len(cells), _mean_time(sizes, seconds),
                next((record.reason for record in records if record.reason), ""))
+
+
+def _probe(cell: Cell) -> Cell:
+    """Return a cell that ends after `PROBE_SECONDS`, so that its time is known soon."""
+    limit = cell.call.get("timeout")
+    if limit is not None and limit <= PROBE_SECONDS:
+        return cell
+    return replace(cell, call={**cell.call, "timeout": PROBE_SECONDS})
 
 
 def _reasons(cells: list[Cell]) -> str:
@@ -254,11 +270,7 @@ def _mean_time(sizes: list[int], seconds: Mapping[int, float]) -> float | None:
 
 def _open_journal(stack: ExitStack, folder: Path, current_versions: Mapping[str, str]) -> Journal:
     """Return the open journal of a folder that this process alone works in."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise TermselError(f"cannot make the folder {folder}: {error.strerror}",
-                           hint="Choose another --out.") from error
+    make_folder(folder)
     stack.enter_context(lock_folder(
         folder, "Wait for it, or choose another --out. "
                f"`termsel compare --status {folder}` shows how far it is."))

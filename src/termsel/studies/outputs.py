@@ -15,6 +15,7 @@ from termsel.results.blocks import Block
 from termsel.results.text import text_of_blocks
 from termsel.studies.cells.image_table import image_reasons, image_table
 from termsel.studies.cells.table import csv_of, usual_notes_in_words, with_notes_once
+from termsel.studies.cells.verdicts import FIT, FIT_WITHOUT_A_LIMIT
 from termsel.studies.study import Study
 
 NAMES = ("study.csv", "study.parquet")
@@ -89,8 +90,10 @@ def summary(study: Study) -> str:
 def _images(study: Study) -> str:
     """Return remarks, the table of images, and the reasons of verdicts, as text."""
     title = [study.spec.title] if study.spec.title else []
+    meaning = () if study.spec.accept is not None or not any(
+        row["verdict"] == FIT for row in study.rows) else (FIT_WITHOUT_A_LIMIT,)
     blocks: tuple[Block, ...] = (*title, *study.remarks, *usual_notes_in_words(study.rows),
-                                 image_table(study.rows), *image_reasons(study.rows))
+                                 image_table(study.rows), *meaning, *image_reasons(study.rows))
     return text_of_blocks(blocks).lstrip("\n")
 
 

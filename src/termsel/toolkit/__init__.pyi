@@ -12,6 +12,7 @@ from termsel.core.errors import counted as counted
 from termsel.core.errors import printable as printable
 from termsel.core.errors import requires as requires
 from termsel.core.errors import unknown_name as unknown_name
+from termsel.core.files.atomic import make_folder as make_folder
 from termsel.core.files.atomic import private_folder as private_folder
 from termsel.core.files.atomic import write_bytes as write_bytes
 from termsel.core.files.atomic import write_text as write_text

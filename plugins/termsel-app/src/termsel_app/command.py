@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from termsel import TermselError
-from termsel.toolkit import echo, refuse_link, remote_option, show_messages
+from termsel.toolkit import echo, make_folder, refuse_link, remote_option, show_messages
 
 if TYPE_CHECKING:
     from termsel_app.session import Files
@@ -167,7 +167,7 @@ def example_files(files_given: Files, folder: Path | None) -> tuple[Files, Path]
 
     session_folder = folder or by_default(EXAMPLE)
     if not (session_folder / "files").exists():
-        session_folder.mkdir(parents=True, exist_ok=True)
+        make_folder(session_folder)
         write_example(session_folder / "files")
     files = session_folder / "files"
     return replace(files_given, image=str(files / "scene.tif"), maps=(str(files / "ortho.tif"),),

@@ -18,6 +18,7 @@ import numpy as np
 
 import termsel
 from termsel import FeatureSet, TermselError
+from termsel.toolkit import make_folder
 from termsel.toolkit.coordinates import LOCAL, horizontal, normalise
 from termsel_app.control import (
     COORDINATE_LIMIT,
@@ -567,13 +568,9 @@ def open_session(files: Files, folder: Path, *, remote: bool = False,
 
 def _make(folder: Path, stack: ExitStack) -> None:
     """Make a folder, which the stack removes again if it is still empty at the end."""
-    try:
-        if not folder.exists():
-            folder.mkdir(parents=True)
-            stack.callback(_remove_empty, folder)
-    except OSError as error:
-        raise TermselError(f"the folder cannot be made: {error.strerror}", file=folder,
-                           hint="Choose another --out.") from error
+    if not folder.is_dir():
+        make_folder(folder)
+        stack.callback(_remove_empty, folder)
 
 
 def _remove_empty(folder: Path) -> None:

@@ -206,14 +206,14 @@ def _run(methods: Sequence[Method], names: Sequence[str], real: Path | None, pro
 def _write(scored: Sequence[Score], folder: Path, title: str) -> None:
     """Write table, page and results into a folder; `title` is the method whose losses are listed.
     """
-    from termsel.toolkit import write_text
+    from termsel.toolkit import make_folder, write_text
     from termsel.toolkit.charts import page
     from termsel.toolkit.files import refuse_links
     from termsel_bench.page import document
     from termsel_bench.submitted import texts_of
     from termsel_bench.tables import csv_text
 
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     refuse_links(folder)
     texts = {"table.csv": csv_text(scored), "index.html": page(document(scored, title)),
              **texts_of(scored)}
@@ -225,7 +225,7 @@ def _write(scored: Sequence[Score], folder: Path, title: str) -> None:
 def _write_files(folder: Path, names: Sequence[str], *, overwrite: bool) -> None:
     """Write simulated sets as files into a folder, with their description."""
     from termsel import require_replaceable
-    from termsel.toolkit import write_text
+    from termsel.toolkit import make_folder, write_text
     from termsel.toolkit.files import refuse_links
     from termsel_bench.scenes.catalogue import METADATA, simulated
     from termsel_bench.scenes.croissant import described
@@ -233,7 +233,7 @@ def _write_files(folder: Path, names: Sequence[str], *, overwrite: bool) -> None
     require_replaceable([folder / METADATA], reads=[], overwrite=overwrite, makes_folder=True)
     # All of them first: what fails leaves no folder.
     sets = [simulated(name) for name in names]
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     refuse_links(folder)
     for bench_set in sets:
         for file, text in bench_set.files().items():
@@ -246,7 +246,7 @@ def _write_files(folder: Path, names: Sequence[str], *, overwrite: bool) -> None
 def _write_measured(folder: Path, names: Sequence[str], *, overwrite: bool) -> None:
     """Write measured sets as files, with their description."""
     from termsel import require_replaceable
-    from termsel.toolkit import write_text
+    from termsel.toolkit import make_folder, write_text
     from termsel.toolkit.files import refuse_links
     from termsel_bench.scenes.catalogue import METADATA
     from termsel_bench.scenes.croissant import described_measured
@@ -255,7 +255,7 @@ def _write_measured(folder: Path, names: Sequence[str], *, overwrite: bool) -> N
     files = published_files(names)
     require_replaceable([folder / METADATA, *(folder / name for name in files)], reads=[],
                         overwrite=overwrite, makes_folder=True)
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     refuse_links(folder)
     for name, text in files.items():
         (folder / name).parent.mkdir(exist_ok=True)

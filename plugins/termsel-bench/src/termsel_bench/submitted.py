@@ -110,7 +110,8 @@ def _read(path: Path, packages: Sequence[str]) -> Submitted:
     try:
         content: Any = json.loads(read_text(path))
         if content["schema"] != SCHEMA:
-            raise refused(f"has the schema {content['schema']!r}, expected {SCHEMA!r}")
+            raise refused(f"is no file of a benchmark: its schema is {content['schema']!r}, not "
+                          f"{SCHEMA!r}")
         stated = content["method"]
         sets = content["sets"]
         method = Method(str(stated["kind"]), str(stated["name"]),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from termsel import TermselError, write_points_csv, write_rpc
-from termsel.toolkit import csv_table, write_text
+from termsel.toolkit import csv_table, make_folder, write_text
 from termsel_block.simulated import simulate_block
 
 _LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
@@ -21,17 +21,15 @@ def write_example(folder: Path, n_images: int = 3, seed: int = 1,
         If the folder exists or cannot be made.
     """
     if folder.exists():
-        raise TermselError("this folder exists already", file=folder, hint="Name a new one.")
+        raise TermselError("this folder exists already" if folder.is_dir() else
+                           "a file of this name exists already", file=folder,
+                           hint="Name a new folder.")
     simulated = simulate_block(n_images, rpcs=True, control=(6, 6), wrong=0.05, seed=seed,
                                independent=30, check=check)
     block = simulated.block
     # A, B, ... Z, A1, B1, ...: short names for as many images as are asked for.
     names = [_LETTERS[i % 26] + str(i // 26 or "") for i in range(n_images)]
-    try:
-        folder.mkdir(parents=True)
-    except OSError as error:
-        raise TermselError(f"cannot make the folder: {error.strerror}", file=folder,
-                           hint="Name another.") from error
+    make_folder(folder, "Name another.")
     text = [f'crs = "{block.crs}"', 'ties = "ties.csv"', ""]
     for name, image in zip(names, block.images, strict=True):
         assert image.rpc is not None

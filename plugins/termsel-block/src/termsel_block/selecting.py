@@ -27,7 +27,7 @@ from termsel import (
     get,
     search,
 )
-from termsel.toolkit import csv_table
+from termsel.toolkit import counted, csv_table
 from termsel.toolkit.searches import RowSystem
 from termsel_block.accuracy import independent_points, rmse
 from termsel_block.block import Block, BlockImage
@@ -39,6 +39,8 @@ PROBLEM_NAME = "owdis-block"
 
 # Numbers of normal matrices held at once.
 _BATCH = 4_000_000
+# Times the RMSE with all candidates beyond which a selection is too small.
+_FAR_WORSE = 2.0
 # Numbers of the rows of all candidates.
 _MOST_ROWS = 30_000_000
 
@@ -386,13 +388,16 @@ def table_of(selected: Selected) -> str:
 def text_of(selected: Selected) -> str:
     """Return the summary of a selection: its size, RMSEs, and whether it is proven, lines of text.
     """
-    lines = [f"Selected: {len(selected.control)} control features and {len(selected.ties)} ties, "
-             f"by {selected.search.evaluations} evaluations.",
+    lines = [f"Selected: {counted(len(selected.control), 'control feature')} and "
+             f"{counted(len(selected.ties), 'tie')}, by {selected.search.evaluations:,} "
+             "evaluations.",
              f"Selection points: RMSE {selected.check:.2f} px; {selected.check_of_all:.2f} px with "
              "all candidates. They chose, so that this is no accuracy."]
     if selected.independent is not None and selected.independent_of_all is not None:
         lines.append(f"Independent check points: RMSE {selected.independent:.2f} px; "
                      f"{selected.independent_of_all:.2f} px with all control and ties.")
+    if selected.check > _FAR_WORSE * selected.check_of_all:
+        lines.append("These are too few: allow more (--most), or use all.")
     if selected.search.certificate and selected.search.certificate.get("optimal"):
         lines.append("The selection is proven to be the best of all for the selection points.")
     return "\n".join(lines) + "\n"

@@ -148,4 +148,7 @@ def flight_camera(photos: tuple[Path, ...], crs: str | None, size: tuple[int, in
     echo(f"Focal length {camera.focal:,.1f} px, standard deviation {100 * camera.spread:.2g} %; "
          f"radial distortion k1 {camera.k1:.3g}; residuals {camera.sigma:.2g} px at "
          f"{camera.points} points in {counted(camera.photos, 'photo')}.")
+    if camera.photos == 1:
+        echo("Note: one photo hardly distinguishes focal length from height of flight. Give the "
+             "photos of the whole flight.", err=True)
     say_written([output])

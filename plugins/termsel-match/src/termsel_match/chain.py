@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from termsel import TermselError, open_dem, read_result, read_rpc, rectify, write_points_csv
-from termsel.toolkit import write_text
+from termsel.toolkit import make_folder, write_text
 from termsel_match.images.masks import open_masked, tell_of_idle
 from termsel_match.images.rasters import FloatArray, GreyRaster, Mask, grid
 from termsel_match.images.starts import Start
@@ -167,7 +167,7 @@ def judge(
         candidates = match_points(image, reference, dem=dem, start=start, progress=progress,
                                   **matching)
     if folder is not None:
-        Path(folder).mkdir(parents=True, exist_ok=True)
+        make_folder(Path(folder))
         write_points_csv(candidates.points, Path(folder) / CANDIDATES, candidates.crs)
 
     def made(plainer_than: Correction | None = None) -> tuple[Selected, Matched | None, str]:

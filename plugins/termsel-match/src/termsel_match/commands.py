@@ -268,7 +268,7 @@ def match_ties(images: tuple[Path, ...], dem: Path, output: Path, overwrite: boo
 @click.option("--output", "-o", metavar="FILE", required=True, type=_FILE,
               help="The map to write, a cloud-optimised GeoTIFF.")
 @click.option("--accept", metavar="PX", default=2.0, show_default=True,
-              type=Number(0, 1000),
+              type=Number(0, 1000, min_open=True),
               help="Largest error with which a map is made: the median of all independent "
                    "candidates, the RMSE of those that agree, and the predicted standard "
                    "deviation.")

@@ -76,11 +76,20 @@ class Refinement(SensorModel):
         margin = (high - low) / 2
         lowest = geographic.min(axis=0)
         greatest = geographic.max(axis=0)
-        if ((greatest < low - margin) | (lowest > high + margin)).any():
+        if not _is_far(lowest, greatest, low, high, margin):
+            return
+        if not _is_far(lowest[::-1], greatest[::-1], low, high, margin):
             raise TermselError(
-                f"{self.source} covers {_range(low, high)}, but the control is in "
-                f"{_range(lowest, greatest)}",
-                hint="Give the geometry of this image; x must be longitude or easting.")
+                f"x and y are swapped: exchanged, the control lies in the area of {self.source}, "
+                "as it stands it does not",
+                hint="Exchange them: --set swapped=xy.")
+        image = _position(low, high)
+        control = _position(lowest, greatest)
+        reason = f"is of another place ({image}) than the control ({control})" \
+            if image != control else \
+            f"covers {_range(low, high)}, but the control is in {_range(lowest, greatest)}"
+        raise TermselError(f"{self.source} {reason}",
+                           hint="Give the geometry of this image; x must be longitude or easting.")
 
     def known(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return `first_order` of places, kept as a search asks for the same ones many times."""
@@ -97,6 +106,18 @@ class Refinement(SensorModel):
         image, columns = self.known(features.points.ground)
         at_vertices, of_vertices = self.known(features.lines.ground.reshape(-1, 3))
         return image_equations(features, columns, of_vertices, image, at_vertices)
+
+
+def _is_far(lowest: FloatArray, greatest: FloatArray, low: FloatArray, high: FloatArray,
+            margin: FloatArray) -> bool:
+    """Return whether an area of control is beyond an area and its margin."""
+    return bool(((greatest < low - margin) | (lowest > high + margin)).any())
+
+
+def _position(low: FloatArray, high: FloatArray) -> str:
+    """Return the middle between two corners [deg] in words, such as "34.8 N, 48.5 E"."""
+    lon, lat = ((low + high) / 2).tolist()
+    return f"{abs(lat):.1f} {'N' if lat >= 0 else 'S'}, {abs(lon):.1f} {'E' if lon >= 0 else 'W'}"
 
 
 def _range(low: FloatArray, high: FloatArray) -> str:

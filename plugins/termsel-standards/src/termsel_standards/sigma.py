@@ -134,8 +134,8 @@ def write_sigma(
         if result.fit.uncertainty_caveat:
             log.warning("Note: %s", result.fit.uncertainty_caveat)
         if nodes.error > TOLERANCE:
-            log.warning("Warning: between the nodes of the finest grid the uncertainty differs by "
-                        "up to %.0f %%. Give smaller --bounds.", 100 * nodes.error)
+            log.warning("Note: between the nodes of its grid the uncertainty is interpolated, to "
+                        "within %.0f %% of itself.", 100 * nodes.error)
 
         def describe(raster: Any) -> None:
             raster.update_tags(**tags,
@@ -182,9 +182,7 @@ def _grid(result: Result, like_map: Path | str | None, bounds: Sequence[float] |
         bounds = image_grid.bounds
     west, south, east, north = bounds
     if not (all(map(isfinite, bounds)) and west < east and south < north):
-        raise TermselError(f"the bounds {' '.join(f'{bound:g}' for bound in bounds)} enclose no "
-                           "area",
-                           hint="Give west, south, east and north in the CRS of the raster.")
+        raise _no_area(bounds)
     if resolution is None:
         resolution = float(f"{max(east - west, north - south) / _USUAL:.1g}")
     samples, lines = (max(round(extent / resolution), 1) for extent in (east - west, north - south))
@@ -325,6 +323,24 @@ class _Nodes:
         bands[4] = np.where(np.isfinite(distance), distance > 0, np.nan)
         bands[:, ~np.isfinite(bands[:4]).all(axis=0)] = np.nan
         return bands.reshape(len(BANDS), window.height, window.width)
+
+
+def _no_area(bounds: tuple[float, float, float, float]) -> TermselError:
+    """Return the error for bounds that enclose no area, with those that were probably meant."""
+    west, south, east, north = bounds
+    reasons = []
+    if west >= east:
+        reasons.append(f"west {west:.10g} is not west of {east:.10g}")
+    if south >= north:
+        reasons.append(f"south {south:.10g} is not south of {north:.10g}")
+    ordered = (min(west, east), min(south, north), max(west, east), max(south, north))
+    remedy = ""
+    if all(map(isfinite, bounds)) and west != east and south != north:
+        remedy = f": --bounds {' '.join(f'{bound:.10g}' for bound in ordered)}"
+    reason = " and ".join(reasons) or "not all are finite"
+    return TermselError(f"--bounds enclose no area: {reason}",
+                        hint="The order is west south east north, in the CRS of the raster"
+                             f"{remedy}.")
 
 
 def _axis(low: float, high: float, intervals: int) -> FloatArray:

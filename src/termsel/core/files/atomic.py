@@ -74,6 +74,28 @@ def _sync(path: Path, mode: int) -> None:
         os.close(descriptor)
 
 
+def make_folder(folder: Path, hint: str = "Choose another --out.") -> None:
+    """Make a folder, and those above it, unless it is there.
+
+    Raises TermselError, with the remedy `hint`, if it is a file, or cannot be made.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> make_folder(Path("."))
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        reason = f"this folder cannot be made: {error.strerror or error}"
+        for parent in (folder, *folder.absolute().parents):
+            if parent.is_file():
+                reason = "this is a file, expected a folder" if parent == folder else \
+                    f"this folder cannot be made, as {parent} is a file"
+                break
+        raise TermselError(reason, file=folder, hint=hint) from error
+
+
 _PREFIX = ".termsel-"
 
 

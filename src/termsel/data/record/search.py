@@ -107,6 +107,10 @@ class CandidateRow(RecordPart, frozen=True):
     """RMSE by leave-one-out [px]."""
 
 
+RPC_UNUSED = "The RPC is not used"
+"""How a strategy's sentence on an RPC begins that is given and not used."""
+
+
 class Strategy(RecordPart, frozen=True):
     """The choice by the strategy auto."""
 

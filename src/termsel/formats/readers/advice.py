@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 
@@ -60,6 +61,7 @@ def with_advice(error: TermselError, header: Sequence[str], rows: Sequence[Seque
     for meanings in _ways_to_take_names(header, known_columns):
         for reading in _readings(rows, len(header), meanings):
             readings.append({**reading, **meanings})
+    readings = _by_letters(readings, header)
     numbers = _number_columns([row for row in rows[:_ROWS] if len(row) == len(header)])
     in_image = [reading for reading in readings if _is_in_an_image(numbers, reading)]
     complete = [reading for reading in in_image if reading.keys() >= _REQUIRED]
@@ -80,6 +82,28 @@ def with_advice(error: TermselError, header: Sequence[str], rows: Sequence[Seque
                       "georeferenced image, head them x1,y1,x2,y2.")
     return _with_readings(error, header, rows, complete or in_image or [dict(known_columns)],
                           known_columns, aliases, fixed)
+
+
+_LETTER = re.compile(r"([xy])(?![a-z])", re.IGNORECASE)
+
+
+def _by_letters(readings: Sequence[dict[str, int]], header: Sequence[str]) -> list[dict[str, int]]:
+    """Return readings in which columns called x_... and y_... are not exchanged; each once.
+
+    Samples and x are along x, lines and y along y.
+    """
+    letters = [_LETTER.match(name.strip()) for name in header]
+    result: list[dict[str, int]] = []
+    for reading in readings:
+        changed = dict(reading)
+        for along_x, along_y in (("sample", "line"), ("x", "y")):
+            pair = [letters[changed[name]] if name in changed else None
+                    for name in (along_x, along_y)]
+            if all(pair) and [letter[1].lower() for letter in pair if letter] == ["y", "x"]:
+                changed[along_x], changed[along_y] = changed[along_y], changed[along_x]
+        if changed not in result:
+            result.append(changed)
+    return result
 
 
 def _ways_to_take_names(header: Sequence[str], known_columns: Mapping[str, int],
@@ -176,8 +200,8 @@ def _with_readings(error: TermselError, header: Sequence[str], rows: Sequence[Se
             error.what = "this table has ground coordinates alone: columns for line and sample " \
                 "are missing"
             error.column = None
-            error.hint = ("Add the image coordinates of each point. By a result they are computed: "
-                          "termsel project DIR --points FILE.")
+            error.hint = ("Add the image coordinates of each point. If you have a result, it "
+                          "computes them: termsel project DIR --points FILE.")
         return error
     # No reading has all columns; a point read so could not be shown.
     if "=?" in texts[0]:

@@ -105,7 +105,8 @@ def _feature(path: Path, number: int, item: Any, kinds: Mapping[str, int]) -> Fe
     geometry = geometry if isinstance(geometry, dict) else {}
     kind = str(geometry.get("type", "missing"))
     if kind not in kinds:
-        raise feature.error(f"its geometry is {kind}, expected " + " or ".join(kinds), "geometry")
+        raise feature.error(f"its geometry is {kind}, expected " + " or ".join(kinds), "geometry",
+                            "Export features of that geometry alone.")
     coordinates: Any = geometry.get("coordinates")
     # A point is a list of one list of one vertex.
     for _ in range(2 - kinds[kind]):

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import chain
 from math import nan
 from pathlib import Path
 from typing import Any
 
 from termsel.data.features import FeatureSet
-from termsel.data.tables.columns import POINTS, matches, parse_columns
-from termsel.formats.base import IMAGE_NAME, Reader, image_of
+from termsel.data.tables.columns import POINTS, Aliases, matches, parse_columns
+from termsel.formats.base import IMAGE_NAME, Reader, image_of, read_head
 from termsel.formats.readers.cells import of_records
 from termsel.formats.readers.geojson import Feature, numbers_at, read_geojson, sniff_geojson
 from termsel.formats.readers.tables import COLUMNS, Table, points_of, table_of
@@ -72,6 +73,44 @@ class VectorPoints(Reader):
     def parts(self, path: Path) -> dict[str, dict[str, Any]]:
         """Return the images of the points, each of which is a part."""
         return _images_of(read_layer(path, self.options["layer"], POINT_KINDS)[0])
+
+
+def table_of_places(path: Path, aliases: Aliases, stated: Mapping[str, str], *,
+                    flat: bool = False) -> Table | None:
+    """Return the points of a vector file as a table of their coordinates and properties.
+
+    It is None if the file is not GeoJSON and no vector file of a GIS. With `flat`, points without
+    a height have blank ones. Raises TermselError where the file has other geometries than points.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> table_of_places(Path("gcps.csv"), {"x": ("x",)}, {}) is None
+    True
+    """
+    # An empty file is left to the reader of tables.
+    has_content = path.is_file() and path.stat().st_size > 0
+    head = read_head(path, "Give points as a table or a vector file.") if has_content else b""
+    if is_vector(head):
+        features, crs = read_layer(path, None, POINT_KINDS)
+    elif sniff_geojson(head, r"\w+"):
+        features, crs = read_geojson(path, POINT_KINDS)
+    else:
+        return None
+    records = []
+    for feature in features:
+        vertex = feature.vertex_lists[0][0]
+        places = {name: value for name, value in zip(_GROUND.values(), vertex, strict=True)
+                  if value == value}
+        records.append({**feature.properties, **places})
+    has_heights = any(_GROUND["z"] in record for record in records)
+    fixed = {axis: name for axis, name in _GROUND.items() if axis in aliases}
+    if not has_heights and not flat and "z" in fixed:
+        for record in records:  # so that the message is of the height and not of a column
+            record[_GROUND["z"]] = nan
+    cells = of_records(records, "feature", fixed, [feature.number for feature in features])
+    table = table_of(path, cells, aliases, stated, flat=flat)
+    return replace(table, crs=crs or ("EPSG:4979" if has_heights else "EPSG:4326"))
 
 
 def _images_of(features: Sequence[Feature]) -> dict[str, dict[str, Any]]:

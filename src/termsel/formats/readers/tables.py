@@ -16,7 +16,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from termsel.core.errors import TermselError, amount
+from termsel.core.errors import TermselError, amount, cut, first_of
 from termsel.core.files.texts import unguarded
 from termsel.core.options import Option
 from termsel.data.coordinates.crs import normalise
@@ -350,6 +350,46 @@ def _ambiguous(path: Path | None, line: int | None, header: Sequence[str], meani
                         hint="Rename or remove all but one of them.")
 
 
+def _require_stated(path: Path | None, line: int | None, header: Sequence[str],
+                    stated: Mapping[str, str], aliases: Aliases) -> None:
+    """Raise TermselError for columns that --columns names and the header has not."""
+    lost = {meaning: name for meaning, name in stated.items()
+            if meaning not in declared(header, stated)}
+    if not lost:
+        return
+    named = " and ".join(f"{name!r} for {meaning}" for meaning, name in lost.items())
+    columns = "is no column" if len(lost) == 1 else "are no columns"
+    by_name = matches(header, aliases)
+    remedy = " Those of --columns have their usual names here: leave it out." \
+        if all(len(by_name.get(meaning, ())) == 1 for meaning in stated) else ""
+    raise TermselError(f"there {columns} {named}", file=path, line=line,
+                       hint=f"The columns here are: {_listed(header)}.{remedy}")
+
+
+def _listed(header: Sequence[str]) -> str:
+    """Return the names of a header for a message, without the middle of a long list."""
+    return cut(", ".join(cell.strip() for cell in header), _LONGEST_LIST)
+
+
+_LONGEST_LIST = 400
+"""Characters of a list of columns in a message."""
+
+
+def _ragged(path: Path | None, line: int, header: Sequence[str], row: Sequence[str],
+            delimiter: str | None) -> TermselError:
+    """Return the error for a row with fewer or more cells than the header."""
+    if len(row) < len(header):
+        missing = [cell.strip() for cell in header[len(row):]]
+        return TermselError(f"the row ends after {len(row)} of {len(header)} cells, before "
+                            f"{first_of(missing, 4)}", file=path, line=line,
+                            hint="Complete it, or delete it.")
+    comma = " If numbers have decimal commas, separate the columns by semicolons." \
+        if delimiter == "," else ""
+    return TermselError(f"the row has {len(row)} cells, but the header has {len(header)}",
+                        file=path, line=line,
+                        hint=f"Every row needs one cell for each column.{comma}")
+
+
 def _missing_column_error(path: Path | None, line: int | None, header: Sequence[str], meaning: str,
                           aliases: Aliases) -> TermselError:
     """Return the error for a meaning that no column has."""
@@ -370,7 +410,7 @@ def _missing_column_error(path: Path | None, line: int | None, header: Sequence[
     blank = " Its cells may be blank." if meaning[0] == "z" else ""
     return TermselError(
         f"there is no column for {meaning}", file=path, line=line, column=meaning,
-        hint=f"The columns here are: {', '.join(cell.strip() for cell in header)}. "
+        hint=f"The columns here are: {_listed(header)}. "
              f"Accepted names: {', '.join(names)}, and others.{blank}")
 
 
@@ -468,9 +508,7 @@ def table_of(path: Path | None, cells: Cells, aliases: Aliases, stated: Mapping[
         _require_rows_below(path, header, rows, line)
         log.info("Note: the header of %s is taken from line %s, below a title.", path, line)
     given_columns = {**cells.fixed, **declared(header, stated)}
-    for meaning in stated.keys() - declared(header, stated).keys():
-        raise TermselError(f"there is no column {stated[meaning]!r} for {meaning}", file=path,
-                           line=line, hint=f"The columns here are: {', '.join(header)}.")
+    _require_stated(path, line, header, stated, aliases)
     column_of = _column_by_meaning(path, line, header, rows, aliases, given_columns,
                                    cells.fixed.values(), flat=flat)
     width = len(header)
@@ -479,12 +517,8 @@ def table_of(path: Path | None, cells: Cells, aliases: Aliases, stated: Mapping[
         rows = [row if "".join(row[width:]).strip() else row[:width] for row in rows]
         # The first bad row is named; the rest are likely bad for the same reason.
         i = next((i for i, row in enumerate(rows) if len(row) != width), None)
-        comma = " Decimal commas require semicolons between columns." \
-            if cells.delimiter == "," else ""
         if i is not None:
-            raise TermselError(f"the row has {len(rows[i])} cells, but the header has {width}",
-                               file=path, line=lines[i],
-                               hint=f"Every row needs one cell for each column.{comma}")
+            raise _ragged(path, lines[i], header, rows[i], cells.delimiter)
     # A row of units below the header has a text in each of these columns.
     numbers = [i for meaning, i in column_of.items() if meaning not in USE]
     if rows and not any(any(map(str.isdigit, rows[0][i])) for i in numbers) \

@@ -22,6 +22,10 @@ from termsel.studies.cells.neighbours import ELSEWHERE
 
 FIT, DOUBTFUL, UNFIT = VERDICTS = "fit for use", "doubtful", "unfit"
 
+FIT_WITHOUT_A_LIMIT = ("fit for use: nothing contradicts the figures. Whether they suffice for a "
+                       "purpose, --accept decides, such as --accept 5m.")
+"""What the verdict means where no accuracy is asked for."""
+
 MANY_BLUNDERS = 0.2
 """Share of the points that are blunders, from which on the rest is doubted, too."""
 

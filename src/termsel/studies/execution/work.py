@@ -58,6 +58,10 @@ class Outcome:
     files: Mapping[str, bytes] = field(default_factory=dict)
 
 
+OUT_OF_TIME = "out of time: more than {:g} s"
+"""Why a cell was ended, with the seconds that it was allowed."""
+
+
 class _OutOfTime(TermselError):
     """The cell took longer than the study allows."""
 
@@ -128,7 +132,7 @@ class _Trace:
 
     def __call__(self, progress: Progress) -> None:
         if self._timeout is not None and time.perf_counter() - self._start > self._timeout:
-            raise _OutOfTime(f"out of time: more than {self._timeout:g} s")
+            raise _OutOfTime(OUT_OF_TIME.format(self._timeout))
         if progress.evaluations < self._last:
             # The search begins again, as of a second step: what was found before does not count.
             self._before += self._last

@@ -6,6 +6,7 @@ import textwrap
 from collections.abc import Iterable, Iterator
 from shlex import quote
 
+from termsel.toolkit import counted
 from termsel.toolkit.charts import Fact
 from termsel_block.estimation.adjustment import WRONG
 from termsel_block.shown.record import BlockRecord, ImageRecord, WrongControl, WrongTie
@@ -156,7 +157,8 @@ def _table(record: BlockRecord, most: int) -> list[str]:
         lines.append("  ".join(cells).rstrip())
     if len(listed) < len(record.images):
         n_others = len(record.images) - len(listed)
-        lines.append(f"{n_others} more certain images: summary.txt has all.")
+        lines.append(f"{counted(n_others, 'image')} more, with less uncertainty: summary.txt has "
+                     "all.")
     return lines
 
 

@@ -95,8 +95,11 @@ def shared_camera(photos: Sequence[FeatureSet], size: tuple[int, int],
             for photo in map(without_independent, photos)
             if len(photo.points) >= MIN_POINTS_OF_PHOTO and not photo.without_height()]
     if not data:
-        raise TermselError(f"no photo has {MIN_POINTS_OF_PHOTO} control points with heights",
-                           hint="Measure more points, and give them heights.")
+        fewest = f"{MIN_POINTS_OF_PHOTO} control points with heights"
+        if any(len(photo.points) >= MIN_POINTS_OF_PHOTO for photo in photos):
+            raise TermselError(f"no photo has {fewest}: the points have no heights",
+                               hint="Add a column z, for example with heights from a DEM.")
+        raise TermselError(f"no photo has {fewest}", hint="Measure more points in each photo.")
     flight = _Flight(data)
     longer = float(max(size))
     ends = (SHORTEST_FOCAL * longer, LONGEST_FOCAL * longer)

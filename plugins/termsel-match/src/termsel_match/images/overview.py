@@ -68,7 +68,8 @@ def start_by_overview(picture: GreyRaster, reference: Path | str, band: int | No
         raise TermselError(
             f"without a start the image is not found in the reference: {int(agree.sum())} of "
             f"{len(image_number)} similar places agree", file=picture.path,
-            hint="Give --start with an RPC, a result or some points.")
+            hint="If the reference shows the same place, say where the image is: --start with "
+                 "an RPC, a result or a file of some points.")
     # Centres of pixels are half a pixel from their corners, which the geotransform counts.
     x, y = transform @ (at_reference[reference_number[agree], 1] + 0.5,
                         at_reference[reference_number[agree], 0] + 0.5)

@@ -115,7 +115,7 @@ def start_of(named: str | Path | None, image: Path) -> Start | None:
         result = read_result(path)
         # The lowest height of the result stands in where there is no DEM.
         height = float(result.fit.ground_box()[0][2])
-        return Start(f"the result {path}", result.features.crs,
+        return Start(f"the result in {path}", result.features.crs,
                      height if np.isfinite(height) else 0.0, result.project, result.locate,
                      control=result.features)
     try:

@@ -14,6 +14,7 @@ from scipy.ndimage import map_coordinates
 
 from termsel import TermselError, open_dem
 from termsel_match.images.masks import on_the_ground
+from termsel_match.images.positions import in_words
 from termsel_match.images.rasters import FloatArray, Grey, GreyRaster, Mask, grid, open_picture
 from termsel_match.images.starts import Heights, Start
 
@@ -326,21 +327,34 @@ def _require_overlap(reference: Reference, size: tuple[int, int],
     at_reference = reference.seen(grid(size, (COVERS, COVERS)))
     is_finite = np.isfinite(at_reference).all(axis=1)
     if not is_finite.any():
-        problem = f"{dem} does not cover what the image shows by {reference.start.description}"
+        by = reference.start.description
         if dem is None:
-            problem = f"{reference.start.description} has no ground position for the image"
-        raise TermselError(problem, hint="Give a DEM of the area, and the RPC of this image.")
+            raise TermselError(f"{by} has no ground position for the image",
+                               hint="Give another --start, with the RPC or some points of this "
+                                    "image.")
+        raise TermselError(f"the DEM does not cover the image, which by {by} is at "
+                           f"{_position_of_image(reference.start, size)}", file=dem,
+                           hint="Give a DEM of that area; if the place is wrong, another --start.")
     # Finite positions that are on the reference: the image and it have ground in common.
     last = np.array(reference.picture.size) - 1
     inside = is_finite & ((at_reference >= 0) & (at_reference <= last)).all(axis=1)
     if not inside.any():
         raise NotShown(
-            f"the reference does not show the area of the image: by {reference.start.description} "
-            f"the image is at line {_range(at_reference[is_finite, 0])} and sample "
-            f"{_range(at_reference[is_finite, 1])} of it",
+            f"the reference does not show the image: it is at {_position_of_picture(reference)}, "
+            f"the image by {reference.start.description} at "
+            f"{_position_of_image(reference.start, size)}",
             file=reference.picture.path,
-            hint="Give a reference of the same area, and the start of this image.")
+            hint="Give a reference of that place; if the place is wrong, another --start.")
 
 
-def _range(values: FloatArray) -> str:
-    return f"{values.min():.0f} to {values.max():.0f}"
+def _position_of_image(start: Start, size: tuple[int, int]) -> str:
+    """Return where an image of lines and samples is by a start, in words."""
+    ground = start.locate(grid(size, (2, 2)), start.height)
+    return in_words(ground[:, :2], start.crs)
+
+
+def _position_of_picture(reference: Reference) -> str:
+    """Return where the middle of a reference is, in words."""
+    lines, samples = reference.picture.size
+    middle = reference.picture.raster.transform @ (samples / 2, lines / 2)
+    return in_words(np.array([middle], dtype=float), reference.crs)

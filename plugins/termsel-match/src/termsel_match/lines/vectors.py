@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from termsel import TermselError, open_dem
 from termsel.toolkit import open_layer
+from termsel_match.images.positions import in_words
 from termsel_match.images.rasters import FloatArray
 from termsel_match.images.starts import Start
 
@@ -81,10 +82,13 @@ def pieces_of(path: Path | str, start: Start, dem: Path | str | None, size: tupl
     lines, crs = read_vectors(Path(path))
     to_start = Transformer.from_crs(CRS.from_user_input(crs).to_2d(),
                                     CRS.from_user_input(start.crs).to_2d(), always_xy=True)
+    image_place = start.locate(np.array([[0.0, 0.0], [size[0] - 1.0, size[1] - 1.0]]), start.height)
     nowhere = TermselError(
-        f"no straight piece of {SHORTEST:.0f} px of the vectors is in the image, by "
-        f"{start.description}",
-        file=path, hint="Give vectors of the same area.")
+        f"no straight piece of {SHORTEST:.0f} px of the vectors is in the image: they are around "
+        f"{in_words(np.concatenate(lines)[:, :2], crs)}, the image by {start.description} around "
+        f"{in_words(image_place[:, :2], start.crs)}",
+        file=path, hint="Give vectors of the same area; if the place of the image is wrong, "
+                        "another --start.")
     lines, vector_of = _dense(lines, _mesh_of_image(start, to_start, size), size)
     if not lines:
         raise nowhere

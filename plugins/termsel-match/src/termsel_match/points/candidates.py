@@ -16,6 +16,7 @@ import numpy as np
 from termsel import FeatureSet, Points, TermselError, get
 from termsel_match.images.masks import open_masked, tell_of_idle
 from termsel_match.images.overview import start_by_overview
+from termsel_match.images.positions import require_same_area
 from termsel_match.images.rasters import GreyRaster
 from termsel_match.images.starts import Start, start_of, turned
 from termsel_match.images.warps import NotShown, Reference, open_reference, references_of
@@ -143,6 +144,7 @@ def match_points(
     rough = start_of(start, image)
     files = references_of(reference)
     tell_of_idle(masks, [image], files)
+    require_same_area(files, dem)
     with open_masked(image, band, masks) as picture:
         if rough is None:
             if len(files) > 1:
