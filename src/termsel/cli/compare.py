@@ -57,7 +57,9 @@ EXIT_FAILED = 1
 @click.option("--seeds", type=Whole(1, MOST_RUNS), help="Seeds 1 to N.")
 @click.option("--splits", type=Whole(1, MOST_RUNS),
               help="Draws of control, check and independent points, for points without a role.")
-@click.option("--evaluations", type=Whole(1, 10**12), help="Budget of each search.")
+@click.option("--evaluations", type=Whole(1, 10**12),
+              help="Budget of each search; that of exact is --seconds, as it looks at many subsets "
+                   "in one step.")
 @click.option("--generations", type=Whole(1, 10**12),
               help="Stop each search after N generations.")
 @click.option("--patience", type=Whole(1, 10**12),

@@ -202,6 +202,7 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
                      "better."] if lines and not lines_in_use else []
     notes = (
         *([doubt] if (doubt := rpc_correction and doubt_of_rpc(clean)) else []),
+        *_notes_on_stated_geometry(data, auto, choice.chosen),
         *notes_on_dem(request.features, fitted),
         *filter(None, (rpc_unused, rpc_correction)),
         *notes_on_data(request.features, observations, heights=not heights_are_known,
@@ -353,6 +354,31 @@ def _notes_on_rpc(request: Request, data: FitData, auto: Auto, fitted: Fit) -> t
         return ("" if request.rpc_part is None else request.rpc_part.sentence(),
                 auto.ask(method, "describe", fitted) or "")
     return _unused_rpc(data, auto, fitted), ""
+
+
+def _notes_on_stated_geometry(data: FitData, auto: Auto, fitted: Fit) -> list[str]:
+    """Return why a camera or orbit that is stated is not used; [] if it is, or if none is stated.
+
+    Methods that one point is enough for know such a geometry, and decline where none is stated.
+    """
+    chosen = method_of(fitted)
+    if chosen.from_one:
+        return []
+    notes = []
+    for method in auto.methods:
+        if not method.from_one or method.family == RPC_CORRECTIONS \
+                or len(data) > method.max_features \
+                or auto.ask(method, "declines", data) is not None or method.name in auto.faults:
+            continue
+        reason = f"{chosen.title} predicts the {data.features.word} better, beyond chance"
+        if auto.ask(method, "fit", data) is None and method.name not in auto.faults:
+            try:
+                method.fit(data)
+            except Undetermined as error:
+                reason = error.what
+        notes.append(f"The {method.short or method.name} is not used: {reason}. Check what is "
+                     "stated of it, such as a focal length.")
+    return notes
 
 
 RPC_CORRECTIONS = "corrections of the RPC"

@@ -87,13 +87,21 @@ def summary(study: Study) -> str:
         f"package {package}, which {state}. {remedy}\n")
 
 
+REMEDY_FOR_SWAPPED = (
+    "To mend a file in which coordinates are swapped: exchange the names of its columns in its "
+    "header, x with y or line with sample, and repeat this command, which goes on with that image.")
+"""What to do about images of a batch whose axes look swapped."""
+
+
 def _images(study: Study) -> str:
     """Return remarks, the table of images, and the reasons of verdicts, as text."""
     title = [study.spec.title] if study.spec.title else []
     meaning = () if study.spec.accept is not None or not any(
         row["verdict"] == FIT for row in study.rows) else (FIT_WITHOUT_A_LIMIT,)
+    reasons = image_reasons(study.rows)
+    remedy = (REMEDY_FOR_SWAPPED,) if any("swapped" in reason for reason in reasons) else ()
     blocks: tuple[Block, ...] = (*title, *study.remarks, *usual_notes_in_words(study.rows),
-                                 image_table(study.rows), *meaning, *image_reasons(study.rows))
+                                 image_table(study.rows), *meaning, *reasons, *remedy)
     return text_of_blocks(blocks).lstrip("\n")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -70,6 +71,10 @@ def _read_sheet(sheet: Path, crs: str | None, meridian: dict[str, str]) -> Featu
     return read(sheet, crs="EPSG:4326", **meridian)
 
 
+_MOST_ALIKE = 3
+"""Projections with the same figure that a table lists."""
+
+
 def _chosen_projection(sheets: list[FeatureSet], candidates: Path | None,
                        century: int | None) -> str:
     """Print how well each projection predicts the sheets, and return the CRS of the chosen one."""
@@ -79,10 +84,19 @@ def _chosen_projection(sheets: list[FeatureSet], candidates: Path | None,
     projections = candidates_of(sheets, None if candidates is None else str(candidates), century)
     ranked = tried_projections(sheets, projections)
     best = chosen_of(ranked, projections)
-    print_table(("projection", "predicted px", "CRS"),
-                [(projection.name, f"{projection.rmse:.3g}", projection.crs)
-                 for projection in ranked])
-    echo(f"\nChosen for {len(sheets)} sheets: {best.name}. --set projection='{best.crs}'")
+    rows = [(projection.name, f"{projection.rmse:.3g}", projection.crs) for projection in ranked]
+    # Projections of the same figure are listed up to a few of them.
+    listed: list[tuple[str, str, str]] = []
+    for figure, group in groupby(rows, key=lambda row: row[1]):
+        alike = list(group)
+        listed += alike[:_MOST_ALIKE]
+        if len(alike) > _MOST_ALIKE:
+            listed.append((f"{len(alike) - _MOST_ALIKE} more", figure, ""))
+    print_table(("projection", "predicted px", "CRS"), listed)
+    echo(f"\nChosen for {counted(len(sheets), 'sheet')}: {best.name}. "
+         f"--set projection='{best.crs}'")
+    if len({figure for _, figure, _ in rows}) == 1 and len(rows) > 1:
+        echo("All predict these sheets alike, so the sheets do not show which it is.")
     return best.crs
 
 

@@ -96,7 +96,8 @@ _OPTIONS = (
     click.option("--generations", type=Whole(1, 10**12),
                  help="Stop after N generations beyond the first population."),
     click.option("--evaluations", type=Whole(1, 10**12),
-                 help="Stop after N evaluations, those of a local refinement included."),
+                 help="Stop after N evaluations, those of a local refinement included; exact "
+                      "stops by --seconds."),
     click.option("--seconds", type=click.FloatRange(0, 1e9, min_open=True),
                  help="Stop after S seconds."),
     click.option("--patience", type=Whole(1, 10**12),
