@@ -73,7 +73,7 @@ def test_feet_are_told_from_a_geoid(foot: float) -> None:
     found = dem_difference(control / foot, control + RNG.normal(0.0, 1.0, 8))
     assert found is not None
     assert found.contradicts
-    assert found.sentence().endswith("is one of them in feet?")
+    assert found.sentence().endswith("--set z_unit=ft says so of the points")
 
 
 def test_kilometres_are_told_whichever_side_they_are() -> None:

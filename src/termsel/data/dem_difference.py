@@ -89,7 +89,7 @@ class DemDifference:
                     f"{_rounded_in_words(self.sigma)} m")
         cause = ""
         if self.in_feet:
-            cause = "is one of them in feet?"
+            cause = "is one of them in feet? --set z_unit=ft says so of the points"
         elif self.in_kilometres:
             cause = "is one of them in kilometres?"
         return off_as_a_whole(self.above, "the control", evidence, effect, self.dem, cause)

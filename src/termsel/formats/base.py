@@ -346,9 +346,11 @@ def read_head(path: Path, expected: str) -> bytes:
     it should be.
     """
     if is_there(path) and path.is_dir():
+        # A folder in place of a table may be meant as the tables of many images.
+        of_many = f" Of many images, a file each: termsel compare --points '{path}/*.csv' " \
+            "--out DIR." if "table" in expected else ""
         raise TermselError("this is a folder, expected a file", file=path,
-                           hint=f"{expected} Of many images, a file each: termsel compare "
-                                f"--points '{path}/*.csv' --out DIR.")
+                           hint=f"{expected}{of_many}")
     refuse_pipe(path)
     try:
         with path.open("rb") as file:

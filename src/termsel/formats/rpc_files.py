@@ -172,7 +172,7 @@ def size_with_rpc(rpc: Any) -> tuple[int, int] | None:
     if not isinstance(rpc, Path | str):
         return None
     path, _ = _file_and_name(Path(rpc))
-    head = read_head(path, "")
+    head = read_head(path, f"Expected {KNOWN}.")
     if b"\0" not in head or is_utf16(head):
         return None
     with open_raster(path) as raster:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import PurePath
 from shlex import quote
+from textwrap import shorten
 
 from termsel.auto.methods import BY_NAME
 from termsel.core.errors import amount, counted, cut, percent, rounded
@@ -486,7 +487,7 @@ def _cautions(warnings: Sequence[str], room: int) -> Iterator[Fact]:
         space = room - (1 if remaining > 1 else 0)
         texts = [warning.removesuffix("."), _first_sentence(warning)]
         if i == 0:
-            texts.append(cut(_first_sentence(warning), _WIDTH - 1))
+            texts.append(shorten(_first_sentence(warning), _WIDTH - 1, placeholder=" ..."))
         facts = [Fact(text, label) for text in texts]
         # The first warning is shown whatever the room.
         largest = max(space, 1 if i == 0 else 0)

@@ -183,6 +183,9 @@ SAME = 10.0
 NO_PIXEL = 100_000.0
 """Line or sample beyond which next to no image has pixels."""
 
+NO_IMAGE = 1e8
+"""Line or sample beyond the end of any image."""
+
 
 def note_on_mixed(features: FeatureSet) -> str:
     """Return which coordinates look as if they were of another kind than they should be; or ""."""
@@ -196,6 +199,9 @@ def note_on_mixed(features: FeatureSet) -> str:
                     "map coordinates of a georeferenced image, not pixels. What is stated in px is "
                     "in units of the map then; for pixels, measure in the image without its "
                     "georeferencing.")
+        largest = float(np.abs(image).max())
+        if largest > NO_IMAGE:
+            return f"Line and sample are up to {largest:.2g}, and no image is so large. Give pixels."
     if len(points) < MIN_AFFINE_POINTS or not features.crs:
         return ""
     return _two_zones(features) or _note_on_minutes(features)
