@@ -33,7 +33,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ["export", "RESULT", "--to", "points-csv", "--output"], ["plan", "RESULT", "-n", "3", "-o"]])
 @pytest.mark.parametrize(("output", "said"), [
     ("missing/FILE", "there is no such folder"), ("afile/FILE", "afile is a file, not a folder"),
-    ("adir.FILE", "not an ordinary file")])
+    ("adir.FILE", "this is a folder, expected a file")])
 def test_an_output_that_cannot_be_written_is_told_before_the_work(
         folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: list[str],
         output: str, said: str) -> None:

@@ -29,6 +29,9 @@ from termsel.data.fit_data import FitData, carriers
 from termsel.data.record.chances import quantile
 from termsel.data.tables.tabular import rows_at, unchecked
 
+RANGE = re.compile(r"\.\.|[*:]")
+"""What people write for a range of ids, or for a pattern of them."""
+
 # Points that lie closer to each other than anything can differ between them: twins.
 #
 # Twins repeat one measurement. If one is control and the other independent, the second confirms
@@ -351,8 +354,9 @@ def with_roles(features: FeatureSet, named: Mapping[str, str]) -> FeatureSet:
             raise TermselError(
                 f"{'--off' if role == 'off' else '--role'} names the feature {name!r}, which the "
                 "files do not have",
-                hint=f"Did you mean {' or '.join(map(repr, near))}?" if near else
-                f"Their ids are {first_of(features.ids)}.", name=name)
+                hint="Write each id, with commas between: ranges and patterns are not read."
+                if RANGE.search(name) else f"Did you mean {' or '.join(map(repr, near))}?" if near
+                else f"Their ids are {first_of(features.ids)}.", name=name)
         if name in lines.features and role not in ("control", "off"):
             raise TermselError(f"{name!r} is a line and cannot have the role {role}",
                                hint="Lines are control, or off.", ids=[name])
@@ -389,7 +393,8 @@ def observe(
             "the problem needs control lines and there are none",
             hint="Give them with --lines FILE, or choose a problem over points, without mixed=true."
             if control == "both"
-            else "Give them with --lines FILE, or choose a problem over points.")
+            else "Give them with --lines FILE, or choose a problem over points, such as "
+                 "rfm-terms.")
     roles = np.array(points.roles, dtype=object)
     if split is not None:
         # A point that is off stays off, whatever the split.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -111,7 +112,9 @@ def export(result: Result, to: str, path: Path | str, *, overwrite: bool = False
         # Another image than that of the features is refused whatever the format.
         picture_for(result, options["image"])
     for key in ignored:
-        log.info("Note: the format %s has no option %s, which is ignored.", to, key)
+        near = get_close_matches(key, [option.name for option in type(writer).declared_options])
+        question = f" Did you mean {near[0]}?" if near else ""
+        log.info("Note: the format %s has no option %s, which is ignored.%s", to, key, question)
     if not writer.accepts(result):
         suitable = ", ".join(entry.name for entry in registry().entries("writers")
                              if entry.object().accepts(result))

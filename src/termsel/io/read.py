@@ -17,7 +17,7 @@ import numpy as np
 
 from termsel.core.errors import TermselError, counted, unknown_name
 from termsel.core.files.atomic import private_folder
-from termsel.core.files.names import is_there
+from termsel.core.files.names import JOURNAL, is_there
 from termsel.core.isolation.faults import PluginFault, is_own, name_of
 from termsel.core.isolation.parts import missing, parts
 from termsel.core.options import Option
@@ -28,7 +28,16 @@ from termsel.data.features import FeatureSet, no_lines, no_points
 from termsel.data.georeferenced import warn_of_map
 from termsel.data.rpc import Rpc
 from termsel.data.tables.columns import LINES, OPTIONAL, POINTS, columns_text
-from termsel.formats.base import Reader, error_in_file, is_utf16, read_head, read_once, utf16_error
+from termsel.formats.base import (
+    Reader,
+    error_in_file,
+    is_utf16,
+    parse_json,
+    read_head,
+    read_once,
+    read_text,
+    utf16_error,
+)
 from termsel.formats.crs_files import crs_next_to, say_other_crs, stated_crs
 from termsel.formats.heights import with_heights
 from termsel.formats.image_origin import (
@@ -359,6 +368,7 @@ def find_reader(path: Path, readers: Iterable[type[Reader]], format: str | None 
         of_folder = _reader_that_recognises(path, b"", for_folders)
         if of_folder is not None:
             return of_folder
+        _refuse_own_folder(path)
     head = read_head(path, EXPECTED)
     if named:
         return named[0]
@@ -384,9 +394,29 @@ def find_reader(path: Path, readers: Iterable[type[Reader]], format: str | None 
                        f"gdal-gcps reads it. {rasters}" if rasters else EXPECTED)
 
 
+def _refuse_own_folder(path: Path) -> None:
+    """Raise TermselError for a folder that termsel wrote, with the command that reads it."""
+    for name, noun, command in (("result.json", "result", "termsel report"),
+                                (JOURNAL, "study", "termsel compare --status"),
+                                ("block.json", "block", "termsel report")):
+        if (path / name).is_file():
+            raise TermselError(f"this folder has a {noun}, expected a file of points or lines",
+                               file=path, hint=f"{command} {path} shows the {noun}. For a run give "
+                                               "a file.")
+
+
 def _refuse_other_content(path: Path, head: bytes) -> None:
-    """Raise TermselError for a web page, other XML and GeoJSON of other geometry."""
+    """Raise TermselError for a web page, other XML, GeoJSON of other geometry, and damaged JSON."""
     text = head.decode("utf-8-sig", errors="replace").lstrip()
+    if path.suffix.lower() == ".toml":
+        raise TermselError("this is a file of settings, expected points or lines", file=path,
+                           hint="A study: termsel compare FILE --out DIR. A block: termsel block "
+                                "FILE --out DIR.")
+    if path.suffix.lower() == ".json" and text[:1] in ("{", "["):
+        try:
+            parse_json(read_text(path), "Copy or download it again.")
+        except TermselError as error:
+            raise error_in_file(error, path) from error
     if text[:14].lower().startswith(("<!doctype html", "<html")):
         raise TermselError("this file is a web page, not data", file=path,
                            hint="Often it stands for a download that failed: fetch the data again.")

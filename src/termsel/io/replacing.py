@@ -79,7 +79,8 @@ def _require_writable(file: Path, makes_folder: bool) -> None:
     # Through links, as the file behind them is the one that is written.
     target = Path(os.path.realpath(file))
     if os.path.lexists(target) and not target.is_file():
-        raise TermselError("this is not an ordinary file and cannot be replaced", file=file,
+        raise TermselError("this is a folder, expected a file" if file.is_dir() else
+                           "this is not an ordinary file and cannot be replaced", file=file,
                            hint="Give the name of a file to write.")
     folder = target.parent
     if makes_folder:

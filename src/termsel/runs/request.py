@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 from typing import Any
 
 import numpy as np
@@ -335,7 +336,7 @@ def _options_by_parts(recipe: Recipe, components: Mapping[str, Any],
     return by_part(settings, {"problem": of_problem, **declared})
 
 
-def _refuse_of_others(settings: Mapping[str, Any], names: Container[str]) -> None:
+def _refuse_of_others(settings: Mapping[str, Any], names: Collection[str]) -> None:
     """Refuse an option that only models, solvers or criteria have which are not used, by name.
 
     `names` are those of the options of the parts that are used.
@@ -343,18 +344,39 @@ def _refuse_of_others(settings: Mapping[str, Any], names: Container[str]) -> Non
     for key in settings:
         if key in names or "." in key:
             continue
-        for kind in ("criteria", "models", "solvers"):
-            owners = []
-            for entry in registry().entries(kind):
-                if any(option.name == key for option in entry.object.declared_options):
-                    owners.append(entry.name)
-            if owners:
-                role = KINDS[kind].word
-                raise TermselError(
-                    f"{key!r} is an option of the {role} {' or '.join(owners[:3])}, which this "
-                    "run does not use",
-                    hint=f"Choose --{role} {owners[0]}, or leave {key} out.",
-                    name=key)
+        owners = _owners_of_options()
+        if key in owners:
+            role, first, *others = owners[key]
+            raise TermselError(
+                f"{key!r} is an option of the {role} {' or '.join([first, *others[:2]])}, which "
+                "this run does not use",
+                hint=f"Choose --{role} {first}, or leave {key} out.",
+                name=key)
+        near = get_close_matches(key, [*names, *owners], n=1, cutoff=_MISSPELT)
+        if near and near[0] not in names:
+            role, first = owners[near[0]][:2]
+            raise TermselError(
+                f"unknown option {key!r}",
+                hint=f"Did you mean {near[0]!r}? It is an option of the {role} {first}: add "
+                     f"--{role} {first}.", name=key)
+
+
+_MISSPELT = 0.8
+"""Share of matching characters from which on an option of another part is taken for misspelt."""
+
+
+def _owners_of_options() -> dict[str, list[str]]:
+    """Return the kind, and the names, of the criteria, models or solvers that have each option."""
+    owners: dict[str, list[str]] = {}
+    for kind in ("criteria", "models", "solvers"):
+        word = KINDS[kind].word
+        for entry in registry().entries(kind):
+            for option in entry.object.declared_options:
+                of_option = owners.setdefault(option.name, [word])
+                # The first kind that has an option is named.
+                if of_option[0] == word:
+                    of_option.append(entry.name)
+    return owners
 
 
 def problem_for(features: FeatureSet | None, dataset: str | DatasetSpec | None = None) -> str:

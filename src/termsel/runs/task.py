@@ -578,4 +578,5 @@ def require_alone(method: object, words: list[str]) -> None:
     """Raise TermselError for a method next to parts or options of a search, given in words."""
     if method is not None and words:
         raise TermselError(f"a method is given, and {words[0]}, which is of a search",
-                           hint="Leave one of them out.")
+                           hint=f"Leave the method out for a search, or {words[0]} to fit the "
+                                "method.")

@@ -322,6 +322,7 @@ class RunOptions:
 
 _IMAGES = {".tif", ".tiff", ".jp2", ".img", ".png", ".jpg", ".jpeg", ".vrt", ".ntf", ".dim"}
 _RPCS = {".rpb", ".rpc"}
+_PAGES = {".html", ".htm", ".pdf", ".svg"}
 
 
 def with_files(files: Sequence[Path], arguments: Mapping[str, Any]) -> dict[str, Any]:
@@ -334,6 +335,11 @@ def with_files(files: Sequence[Path], arguments: Mapping[str, Any]) -> dict[str,
     """
     options = dict(arguments)
     for path in files:
+        if path.suffix.lower() in _PAGES:
+            raise TermselError("this is the name of a page, and a run reads points, lines, images "
+                               "and RPCs", file=path,
+                               hint="--report takes no name: it writes report.html into the folder "
+                                    "of --out.")
         # A table is known by its content, other files by their ending.
         kind = _kind_of(path)
         if kind == "image" and options["dem"] is None and _holds_heights(path):

@@ -28,7 +28,8 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
     target = Path(os.path.realpath(path))
     # Replacing a folder fails anyway; replacing a device, such as /dev/null, must not succeed.
     if os.path.lexists(target) and not os.path.isfile(target):
-        raise TermselError("this is not an ordinary file and cannot be replaced", file=path,
+        raise TermselError("this is a folder, expected a file" if target.is_dir() else
+                           "this is not an ordinary file and cannot be replaced", file=path,
                            hint="Give the name of a file to write.")
     # Before long work, and with the name as given.
     if not os.access(target.parent, os.W_OK | os.X_OK):
