@@ -306,6 +306,24 @@ def test_a_plane_model_locates_without_heights(tmp_path: Path) -> None:
     np.testing.assert_allclose(run.project(place), [[2000.0, 1000.0]], atol=1e-3)
 
 
+def test_places_of_a_gis_are_projected_as_those_of_a_table(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "places.csv").write_text("id,x,y,z\na,59.1,36.2,1100\n")
+    feature = {"type": "Feature", "properties": {"name": "a"},
+               "geometry": {"type": "Point", "coordinates": [59.1, 36.2]}}
+    (tmp_path / "places.geojson").write_text(json.dumps(
+        {"type": "FeatureCollection", "features": [feature]}))
+    _, of_table, _ = _termsel("project", folder, "--points", tmp_path / "places.csv")
+    code, of_gis, _ = _termsel("project", folder, "--points", tmp_path / "places.geojson",
+                               "--height", "1100")
+    assert (code, of_gis) == (0, of_table)
+    code, _, err = _termsel("project", folder, "--points", tmp_path / "places.geojson")
+    assert (code, "Give heights by --dem FILE or --height H" in err) == (2, True)
+    (tmp_path / "places.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": [
+        {**feature, "geometry": {"type": "LineString", "coordinates": [[59, 36], [59.1, 36]]}}]}))
+    _, _, err = _termsel("project", folder, "--points", tmp_path / "places.geojson")
+    assert "its geometry is LineString, expected Point or MultiPoint" in err
+
+
 @pytest.mark.parametrize(("text", "arguments", "message"), [
     ("id,line,sample\na,1,2\n", [], "add --inverse"),
     ("id,x,y,z\na,59,36,\n", [], "line 2, column 'z': the height is blank"),

@@ -163,6 +163,42 @@ def test_all_points_at_one_pixel_are_refused_without_a_word_of_numpy(tmp_path: P
     assert message.startswith("Error: all control features have the same place in the image.")
 
 
+@pytest.mark.parametrize("words", [
+    ["compare", "--points", "POINTS", "--out"], ["run", "--points", "POINTS", "--out"],
+    ["bench", "--quick", "--out"], ["block-example"], ["example"], ["match-example"],
+    ["new-plugin", "demo", "--kind", "model", "--into"]])
+def test_a_file_in_place_of_a_folder_is_called_a_file(words: list[str], example_files: Path,
+                                                      tmp_path: Path) -> None:
+    (tmp_path / "afile").write_text("x")
+    points = str(example_files / "gcps.csv")
+    message = refused(*(points if word == "POINTS" else word for word in words),
+                      str(tmp_path / "afile"))
+    assert re.search(r"is a file|a file of this name", message), message
+    assert "File exists" not in message
+    assert (tmp_path / "afile").read_text() == "x"
+
+
+@pytest.mark.parametrize(("name", "text", "message"), [
+    ("study.toml", "x = 1", "A study: termsel compare FILE --out DIR."),
+    ("bad.json", '{"a": 1', "this is not JSON: the file breaks off here"),
+    ("swapped.csv", "id,line,sample,x,y,z\nA,1,2,3\n",
+     "line 2: the row ends after 4 of 6 cells, before y, z.")])
+def test_a_file_that_is_no_table_leads_further(name: str, text: str, message: str,
+                                               tmp_path: Path) -> None:
+    (tmp_path / name).write_text(text)
+    assert message in refused("run", str(tmp_path / name), "--crs", "EPSG:4979")
+
+
+def test_a_folder_that_termsel_wrote_leads_to_its_command(tmp_path: Path) -> None:
+    (tmp_path / "result.json").write_text("{}")
+    assert f"termsel report {tmp_path} shows the result" in refused("run", str(tmp_path))
+
+
+def test_a_misspelt_option_of_a_model_is_recognised(example_files: Path) -> None:
+    message = refused("run", str(example_files / "gcps.csv"), "--set", "degre=2")
+    assert "Did you mean 'degree'? It is an option of the model poly2d" in message
+
+
 def test_the_method_of_an_rpc_asks_for_one(example_files: Path) -> None:
     message = refused("run", str(example_files / "gcps.csv"), "--method", "rpc")
     assert "no RPC is given. Give it with --rpc FILE" in message
@@ -172,6 +208,13 @@ def test_the_method_of_an_rpc_asks_for_one(example_files: Path) -> None:
 @pytest.mark.parametrize(("words", "message"), [
     (["run", "x.csv", "--degree", "2"],
      "there is no option --degree. Set it by --set degree=VALUE."),
+    (["run", "--runs", "3"], "there is no option --runs.\n"),
+    (["accuracy", "x", "--crs", "EPSG:4326"],
+     "there is no option --crs. It belongs to termsel run, compare, rectify. Known: --survey"),
+    (["project", "x", "--points", "y", "--out", "z"], "Did you mean --output?"),
+    (["rectify", "x", "y", "-o", "z", "--epsg", "4326"], "Did you mean --crs?"),
+    (["run", "x.csv", "--report", "page.pdf"], "--report takes no name: it writes report.html"),
+    (["plot", "residuals", "result", "-o", "x.svg"], "expected residuals, ground"),
     (["stability", "x.csv"], "A file of points is given by --points FILE."),
     (["bench", "--check", "nowhere"], "--check is 'nowhere', which does not exist. Check the name"),
     (["accuracy", "nowhere"], "nowhere: there is no result here: this folder does not exist.")])

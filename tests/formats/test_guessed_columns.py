@@ -266,3 +266,13 @@ def test_names_that_mislead_do_not_hide_the_true_reading(
     true = {f"{name}={column}" for name, column in zip(names, columns, strict=True)
             if name not in ("z", "zero")}
     assert any(true <= set(guess.split(",")) for guess in caught.value.guesses)
+
+
+def test_columns_called_x_and_y_are_not_taken_for_lines_and_samples(tmp_path: Path) -> None:
+    rows = [f"{7 + 5 * i},{115 + 3 * i * i % 50},{10 + i},{135 + 7 * i % 11}" for i in range(8)]
+    table = tmp_path / "pairs.csv"
+    table.write_text("\n".join(["x_left.jpg,y_left.jpg,x_right.jpg,y_right.jpg", *rows]) + "\n")
+    with pytest.raises(TermselError, match="This mapping is a guess") as caught:
+        termsel.read(table)
+    assert caught.value.guesses == [
+        "line=y_left.jpg,sample=x_left.jpg,x=x_right.jpg,y=y_right.jpg"]

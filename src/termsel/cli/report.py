@@ -53,7 +53,11 @@ def report(folder: Path, output: Path | None, image: str | None, overwrite: bool
     if not is_study and not any(map(is_there, files_of_result(folder))):
         inner = results_within(folder)
         one_of_them = f" Or one of these within it: {first_of(inner, 3)}." if inner else ""
-        raise TermselError("there is neither a result nor a study in this folder", file=folder,
+        reason = "there is neither a result nor a study in this folder"
+        if not folder.is_dir():
+            reason = "this is a file, expected the folder of a result or study" if folder.exists() \
+                else "this folder does not exist"
+        raise TermselError(reason, file=folder,
                            hint="Give the folder that termsel run or termsel compare wrote with "
                                 f"--out.{one_of_them}")
     # A page must not replace what it is made of.

@@ -64,6 +64,10 @@ def by_splines(xy: FloatArray, image: FloatArray) -> Transformation:
     return lambda ground: np.asarray(spline((ground[:, :2] - middle) / unit))
 
 
+MAP = "map"
+"""What the map of `termsel rectify` is called in messages."""
+
+
 def say_deviation(name: str, fitted: Fit, ground: FloatArray, image: FloatArray,
                   ending: str = "") -> None:
     """Log the largest deviation of a format from the model, as a warning if it is not small.
@@ -85,8 +89,10 @@ def say_deviation(name: str, fitted: Fit, ground: FloatArray, image: FloatArray,
     is_close = distance[worst] <= MAX_SILENT_DEVIATION
     level = logging.INFO if is_close else logging.WARNING
     beginning = "" if is_close else "Warning: "
-    log.log(level, "%s%s: at most %s px%s from the model%s.", beginning, name,
-            _length_in_words(float(distance[worst])), length, ending)
+    # A map made by termsel keeps to the model whatever a format can hold.
+    remedy = "" if is_close or name == MAP else " A map by termsel rectify keeps to the model."
+    log.log(level, "%s%s: at most %s px%s from the model%s.%s", beginning, name,
+            _length_in_words(float(distance[worst])), length, ending, remedy)
 
 
 def _length_in_words(length: float) -> str:

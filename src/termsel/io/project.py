@@ -118,13 +118,20 @@ def project_table(
     # Places that no image of such a view shows, which is no fault of the model.
     hidden = missed & (result.exported.above_horizon(image) if inverse else
                        np.isfinite(ground[:, :2]).all(axis=1) & result.exported.unseen(ground))
+    off_image = _off_image(result, image) & missed & ~hidden if inverse else missed & False
     return text, list(_warnings(
-        select(ids, missed & ~hidden), select(ids, hidden),
+        select(ids, missed & ~hidden & ~off_image), select(ids, hidden), select(ids, off_image),
         select(ids, ~missed & (distances > FAR_OUTSIDE)), encloses=encloses, inverse=inverse))
 
 
-def _warnings(missed: Sequence[str], hidden: Sequence[str], far: Sequence[str], *, encloses: bool,
-              inverse: bool) -> Iterator[str]:
+def _off_image(result: Result, image: FloatArray) -> BoolArray:
+    """Return which image positions (n, 2) are outside the image, (n,)."""
+    first, last = np.array(result.fit.image_box())
+    return np.asarray(((image < first - 1.0) | (image > last + 1.0)).any(axis=1))
+
+
+def _warnings(missed: Sequence[str], hidden: Sequence[str], off_image: Sequence[str],
+              far: Sequence[str], *, encloses: bool, inverse: bool) -> Iterator[str]:
     """Yield clauses on points that were not projected or located, or only far outside."""
     if not encloses:
         yield "the control encloses no area, so `outside` cannot be computed"
@@ -137,6 +144,9 @@ def _warnings(missed: Sequence[str], hidden: Sequence[str], far: Sequence[str], 
             f"{'it' if len(hidden) == 1 else 'them'}") + f": {first_of(hidden)}"
     if missed:
         yield f"no position was found for {counted(len(missed), 'point')}: {first_of(missed)}"
+    if off_image:
+        yield (f"no position was found for {counted(len(off_image), 'point')} outside the image: "
+               f"{first_of(off_image)}. Check the lines and samples")
     if far:
         yield (f"{counted(len(far), 'point')} {'is' if len(far) == 1 else 'are'} far outside the "
                f"control, and the model is not valid there: {first_of(far)}")

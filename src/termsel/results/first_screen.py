@@ -51,7 +51,7 @@ _CONTRADICTED = 2.0
 """Times the upper end of the predicted RMSE beyond which independent points contradict it."""
 AS_DELIVERED = "rpc-as-delivered"
 """Baseline of an RPC without a correction."""
-_UNLIKE = 1.5
+_UNLIKE = 2.0
 """Ratio of two figures of the same model from which on only one of them is shown."""
 _BENDING = ("field", "tps")
 """Models that follow local deformation."""

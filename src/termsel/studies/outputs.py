@@ -88,7 +88,7 @@ def summary(study: Study) -> str:
 
 
 REMEDY_FOR_SWAPPED = (
-    "To mend a file in which coordinates are swapped: exchange the names of its columns in its "
+    "To correct a file in which coordinates are swapped: exchange the names of its columns in its "
     "header, x with y or line with sample, and repeat this command, which goes on with that image.")
 """What to do about images of a batch whose axes look swapped."""
 

@@ -360,7 +360,7 @@ def _require_stated(path: Path | None, line: int | None, header: Sequence[str],
     named = " and ".join(f"{name!r} for {meaning}" for meaning, name in lost.items())
     columns = "is no column" if len(lost) == 1 else "are no columns"
     by_name = matches(header, aliases)
-    remedy = " Those of --columns have their usual names here: leave it out." \
+    remedy = " They have their usual names: leave --columns out." \
         if all(len(by_name.get(meaning, ())) == 1 for meaning in stated) else ""
     raise TermselError(f"there {columns} {named}", file=path, line=line,
                        hint=f"The columns here are: {_listed(header)}.{remedy}")

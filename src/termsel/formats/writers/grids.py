@@ -15,6 +15,7 @@ from termsel.core.files.atomic import atomic_path, utf8_bytes, write_bytes, writ
 from termsel.core.files.names import is_there
 from termsel.core.files.texts import xml_text
 from termsel.core.options import COUNT, Option
+from termsel.data.coordinates.earth import place_of
 from termsel.data.coordinates.metres import for_warping
 from termsel.data.features import FloatArray, Points
 from termsel.data.rasters import require_rasterio, tiff_bytes
@@ -65,9 +66,12 @@ class GridWriter(Writer):
             self.say_loss(fitted, image, ground, surface)
         unseen = int(np.isnan(ground).any(axis=-1).sum())
         if unseen > image[..., 0].size - 3:
+            place = place_of(fitted.control)
+            position = f", which is around {place}" if place else ""
             raise TermselError(
-                "fewer than three nodes of the grid have ground", file=self.options["dem"],
-                hint="Give the image, a raster of heights that covers it, or a simpler model.")
+                f"fewer than three nodes of the grid have ground in the image{position}",
+                file=self.options["dem"],
+                hint="Give a raster of heights that covers it, the image, or a simpler model.")
         if unseen:
             reason = why_not_shown(fitted)
             log.warning("Warning: %d of %d nodes of the grid have no ground%s; the image around "
