@@ -219,7 +219,7 @@ def test_the_images_of_a_list_in_json_are_parts(tmp_path: Path, indent: int | No
                 "x": METRES["x"][i], "y": METRES["y"][i]} for i in range(N)]
     path = tmp_path / "images.json"
     path.write_text(json.dumps(records, indent=indent))
-    with pytest.raises(TermselError, match="points of the images A, B") as error:
+    with pytest.raises(TermselError, match=r"points of the images A \(5\), B \(4\), with") as error:
         termsel.read(path, crs="EPSG:32633")
     # What the error proposes works: each image is a part of the file.
     assert "fit each with termsel compare" in (error.value.hint or "")

@@ -276,11 +276,11 @@ def image_of(path: Path, images: Iterable[_Image], asked_for: _Image | None, opt
         for image in ordered:
             label = f"{image:g}" if isinstance(image, float) else image or "without a name"
             names.append(f"{label} ({counts[image]})" if has_counts else label)
-        noun = "images, with their numbers of points" if has_counts else "images"
         each = "" if any(isinstance(image, float) for image in names_in_file) else \
             ", or fit each with termsel compare --points FILE --out DIR"
-        raise TermselError(f"the file has points of {len(names)} {noun}: {first_of(names)}",
-                           file=path, hint=f"Choose one with --set {option}{each}.")
+        note = ", with their numbers of points" if has_counts else ""
+        raise TermselError(f"the file has points of the images {first_of(names)}{note}", file=path,
+                           hint=f"Choose one with --set {option}{each}.")
     return name
 
 

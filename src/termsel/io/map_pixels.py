@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from termsel.core.errors import TermselError
+from termsel.core.errors import TermselError, unknown_name
 from termsel.core.files.reasons import reason_of
 from termsel.data.cog import write_cog
 from termsel.data.distant_rasters import with_dataset
@@ -192,8 +192,7 @@ def _prepared_for_resampling(picture: Picture, resampling: str | None) -> tuple[
     tables with colours that are partly transparent, which a GeoTIFF does not hold.
     """
     if resampling is not None and resampling not in RESAMPLING:
-        raise TermselError(f"unknown resampling {resampling!r}",
-                           hint=f"Known: {', '.join(RESAMPLING)}.")
+        raise unknown_name("resampling", resampling, RESAMPLING)
     if not picture.category:
         return picture, resampling or "bilinear"
     mixed = (resampling or "nearest") != "nearest"

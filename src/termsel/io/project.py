@@ -176,8 +176,9 @@ def read_ground(result: Result, path: Path, columns: str = "", dem: Path | None 
         raise TermselError(f"the file declares the CRS {table.crs}, but the control is in {crs}",
                            file=path, hint="Transform the points to the CRS of the control.")
     ground = np.full((len(table.lines), 3), np.nan)
-    names = tuple(name for name in names if name in table.columns)
-    ground[:, :len(names)] = table.stack(*names)
+    # Heights that are missing altogether have no column.
+    present = [name for name in names if name in table.columns]
+    ground[:, :len(present)] = table.stack(*present)
     ids = table.ids()
     if not model.uses_height:
         return ids, ground

@@ -325,7 +325,7 @@ class _Nodes:
         return bands.reshape(len(BANDS), window.height, window.width)
 
 
-def _no_area(bounds: tuple[float, float, float, float]) -> TermselError:
+def _no_area(bounds: Sequence[float]) -> TermselError:
     """Return the error for bounds that enclose no area, with those that were probably meant."""
     west, south, east, north = bounds
     reasons = []
