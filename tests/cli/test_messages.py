@@ -214,7 +214,7 @@ def test_the_method_of_an_rpc_asks_for_one(example_files: Path) -> None:
     (["project", "x", "--points", "y", "--out", "z"], "Did you mean --output?"),
     (["rectify", "x", "y", "-o", "z", "--epsg", "4326"], "Did you mean --crs?"),
     (["run", "x.csv", "--report", "page.pdf"], "--report takes no name: it writes report.html"),
-    (["plot", "residuals", "result", "-o", "x.svg"], "DIR comes before KIND: termsel plot result residuals"),
+    (["plot", "residuals", "result", "-o", "x.svg"], "DIR comes before KIND: termsel plot result"),
     (["stability", "x.csv"], "A file of points is given by --points FILE."),
     (["bench", "--check", "nowhere"], "--check is 'nowhere', which does not exist. Check the name"),
     (["accuracy", "nowhere"], "nowhere: there is no result here: this folder does not exist.")])

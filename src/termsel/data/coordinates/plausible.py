@@ -201,7 +201,8 @@ def note_on_mixed(features: FeatureSet) -> str:
                     "georeferencing.")
         largest = float(np.abs(image).max())
         if largest > NO_IMAGE:
-            return f"Line and sample are up to {largest:.2g}, and no image is so large. Give pixels."
+            return (f"Line and sample are up to {largest:.2g}, and no image is so large. Give "
+                    "pixels.")
     if len(points) < MIN_AFFINE_POINTS or not features.crs:
         return ""
     return _two_zones(features) or _note_on_minutes(features)

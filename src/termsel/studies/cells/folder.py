@@ -40,7 +40,7 @@ def _read_plan(folder: Path) -> tuple[Spec, int, dict[str, dict[str, Any]]]:
     file = path_inside(folder, PLAN)
     repeat = "Repeat the command that began the study."
     if not file.is_file():
-        has_run = inside(folder, "result.json").is_file()
+        has_run = (folder / "result.json").is_file()
         raise TermselError("this folder has a run, not a study" if has_run else
                            "there is no study in this folder", file=folder,
                            hint="Give the folder that termsel compare --out wrote.")
