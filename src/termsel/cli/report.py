@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from termsel.cli.messages import refuse_stdout, say_written, show_messages
+from termsel.cli.messages import echo, refuse_stdout, say_written, show_messages
 from termsel.cli.options.shared import remote_option
 from termsel.core.errors import TermselError, first_of
 
@@ -60,6 +60,10 @@ def report(folder: Path, output: Path | None, image: str | None, overwrite: bool
         raise TermselError(reason, file=folder,
                            hint="Give the folder that termsel run or termsel compare wrote with "
                                 f"--out.{one_of_them}")
+    if is_study and not overwrite and is_there(folder / REPORT) and output == folder / REPORT:
+        # termsel compare has written it.
+        echo(f"There is a page already: {output}. Open it, or add --overwrite to write it again.")
+        return
     # A page must not replace what it is made of.
     study_files = [folder / PLAN, folder / JOURNAL, *(folder / IMAGES).glob("*")]
     require_replaceable([output], reads=[folder, image, *study_files], overwrite=overwrite)
