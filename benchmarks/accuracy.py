@@ -332,14 +332,14 @@ is chosen with hindsight, by the median of its independent RMSE over all splits.
 are simulated. Sets derived from sensor models have Gaussian noise of {NOISE} px. Seconds are CPU
 seconds of the whole choice, the search for blunders included.
 
-The studies tell every RMSE and every second. The script itself looks for poles in the results that
+The studies give every RMSE and every second. The script itself looks for poles in the results that
 they keep, and changes constants of the program.
 
 ## Requirement and measurement
 
 {verdict(found)}
 
-{missed(found)} Few points do not tell which structure
+{missed(found)} Few points do not show which structure
 will be best on that very split, and the best of several in hindsight is partly best by luck. No
 rule can promise it. The last line of the next table is the structure that is best for the set and
 the number of points, which nobody knows beforehand.

@@ -98,7 +98,7 @@ Targets are at most 0.95 for images without control, and for images with six poi
   and 0.95 in triplets (0.92): auto does not reach its own bound. The largest ratio is above 1.02,
   as single ratios scatter about the bound.
 - Where images have no RPCs, intervals of ten or twenty blocks hold 73 to 83 %. The three images of
-  a block err together, so that ten blocks tell the share to some 8 %. In 160 other blocks, by which
+  a block err together, so that ten blocks give the share to some 8 %. In 160 other blocks, by which
   nothing was chosen, 86 % hold (standard error 2 %). They are 40 of each kind but that of scanners.
   By kind, in the order of the table, 88, 84, 84 and 88 % hold. Beyond the upper end are 5 %, below
   the lower one 8 %, and the predicted RMSE is 1.10 times the actual one (median).
@@ -113,12 +113,12 @@ Targets are at most 0.95 for images without control, and for images with six poi
   wider limit named none of six of either kind. What remains: where no image has an RPC, the squared
   standard deviation of control is 1.08 to 1.20 of the true one. Terms that were dropped do not
   explain it. In bent blocks 9 % are beyond the upper end.
-- How far images bend is unknown, and nine combinations of their terms of degree 2 tell it, as a
+- How far images bend is unknown, and nine combinations of their terms of degree 2 describe it, as a
   bent ground explains the others. Those terms are 0.0003 of half an image here (root mean square).
   In ten vendors' RPCs of real images they are 0.0001 to 0.0019, with 0.0007 in the middle, and
   0.0002 is the least that a block takes.
 - One point in each image is enough for less than a pixel where vendors' RPCs drift by 0.3 px, not
-  with 2 px: a point cannot tell a drift from a shift. Nor does it tell how large drifts are. The
+  with 2 px: a point cannot separate drift from shift. Nor does it show how large drifts are. The
   mean over all that are possible makes chi-square 1.10 in pairs with a drift of 2 px, and 0.37 with
   one of 0.3 px. Intervals hold 90 and 88 %, and 47 % where one variance was taken for known (16
   other blocks).
@@ -145,7 +145,7 @@ Targets are at most 0.95 for images without control, and for images with six poi
   Where one of three images states the wrong sensor and two the right one, the wrong one alone is
   named. The same holds for a block of two images.
 - Without control the DEM is taken at its word. Where it is 100 or 200 m off and vendors' RPCs are
-  20 px off, images are 14 and 28 px off and intervals end at 11. The RPCs tell heights to 100 m, so
+  20 px off, images are 14 and 28 px off and intervals end at 11. The RPCs give heights to 100 m, so
   that nothing contradicts. A note states how many px images are off for each 100 m.
 - Images of one block err together, so that shares of few blocks are rough. In 40 other blocks of
   the two kinds "triplet" and "triplet, third between" intervals hold 88 and 84 %.

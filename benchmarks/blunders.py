@@ -196,7 +196,7 @@ def outcomes(wanted: list[str], counts: list[int], splits: int, share: float,
 
 def table(found: list[tuple[str, int, list[Outcome]]]) -> str:
     """Return a row for each set and number of points."""
-    lines = ["| set | points | clean px | all points | auto | worst | told | worst | "
+    lines = ["| set | points | clean px | all points | auto | worst | known | worst | "
              + " | ".join(PEERS) + " | named | lost |", "|---|" + "---:|" * (9 + len(PEERS))]
     for name, count, done in found:
         ratio, told = (np.array([getattr(one, way) for one in done]) for way in ("found", "told"))
@@ -224,7 +224,7 @@ def verdict(one: list[tuple[str, int, list[Outcome]]], five: list[tuple[str, int
          f"{np.median([o.found for o in few]):.2f}"),
         ("the same, worst of 99 in 100 splits", "at most 1.50",
          _quantile([o.found for o in few])),
-        ("the same, told which points are wrong", "",
+        ("the same, with the wrong points known", "",
          _quantile([o.told for o in few])),
         ("blunders named", "95 %", f"{np.mean([o.named for o in few]):.1%}"),
         ("right points left out", "at most 2 %", f"{np.mean([o.lost for o in few]):.2%}"),
@@ -241,7 +241,7 @@ def reasons(found: list[tuple[str, int, list[Outcome]]]) -> str:
     """Return why splits are worse than WORST."""
     every = [(o, name, count) for name, count, done in found for o in done]
     lines = ["| what the search did | splits | worse than "
-             f"{WORST} | of these, told is too | sets |", "|---|---:|---:|---:|---|"]
+             f"{WORST} | of these, also worse with them known | sets |", "|---|---:|---:|---:|---|"]
     for why in dict.fromkeys(sorted(o.why for o, *_ in every)):
         some = [row for row in every if row[0].why == why]
         bad = [row for row in some if row[0].found > WORST]
@@ -329,7 +329,7 @@ and the worst.
 *All points* is auto without the search for blunders. The four peers fit a quadratic polynomial, to
 the first {PEER_SPLITS} splits.
 The four standard deviations and the allowance for far points were chosen on these sets, and
-checked on splits of them that were not looked at before. *Told* is auto without the points that
+checked on splits of them that were not looked at before. *Known* is auto without the points that
 are wrong: what the best search could reach.
 
 ## Requirement and measurement
@@ -343,7 +343,7 @@ if that is likelier; else the report names it as possible, or it is not seen.
 
 ## Splits worse than {WORST}
 
-One point in 15. *Told* has only the right points: where it is worse than {WORST} too, the points
+One point in 15. *Known* has only the right points: where it is worse than {WORST} too, the points
 that are left say too little, and no search can do better. The sets are those of the splits that
 are worse.
 

@@ -103,7 +103,7 @@ images that are exactly affine or projective, but for {noise:g} px.
 
 ## What is missed
 
-- With six points a plane has six equations left, and nothing tells noise from deformation. Where a
+- With six points a plane has six equations left: nothing separates noise from deformation. Where a
   map is sound, an affine model is better than the average by up to 12 %, on one measured map by
   24 %; with ten points and more by some per cent.
 - Maps that deform strongly and smoothly, or jump at one joint, are predicted worse than by an exact

@@ -98,7 +98,7 @@ HEAD = """| camera | control on | points | images | true [px] | predicted [px] \
 
 PAGE = """# Flat control
 
-Control lies on a plain, and the places to map are mountains. Nothing in the points tells what a
+Control lies on a plain, and the places to map are mountains. Nothing in the points shows what a
 height does in the image. Does the strategy auto know how wrong it may be there?
 
 `python -m benchmarks.flat_control --write` makes this page.
@@ -121,10 +121,10 @@ digits before the point.
 
 - Without heights that differ, the prediction is that of views in general: half a metre sideways for
   a metre of height. A view straight down is predicted too badly, one from far aside too well.
-- Points given as independent tell at which heights the model will be used. Without them the
+- Points given as independent show at which heights the model will be used. Without them the
   predicted RMSE is for heights like the control's, and a note says what others add.
 - Places outside the control are less certain for other reasons, too, which this page leaves out.
-- With a few points on hills, their errors are most of those held out, and few of them tell little:
+- With a few points on hills, their errors are most of those held out, and few of them show little:
   there the ratio scatters most.
 """
 

@@ -342,7 +342,7 @@ def figure(front: Front, study: termsel.Study) -> Any:
                               ("independent", "its independent RMSE, ga"))]
     plain = rmse_interval(quadratics()[1])[0]
     names = [*kinds, "check RMSE of a run of ga", "its independent RMSE, ga"]
-    x = alt.X("terms:Q", title="terms, both axes", scale=alt.Scale(zero=False))
+    x = alt.X("terms:Q", title="terms, line and sample together", scale=alt.Scale(zero=False))
     y = alt.Y("rmse:Q", title="RMSE [px]", scale=alt.Scale(
         type="log", domain=[0.65, 3.5], nice=False), axis=alt.Axis(values=[0.7, 0.8, 1, 1.5, 2, 3]))
     colour = alt.Color("what:N", sort=names, legend=alt.Legend(
@@ -402,7 +402,7 @@ squared check errors are a weighted sum that the best known selection limits. A 
 form holds all three. If its minimum is above the limit, none of these selections can be better. The
 module `termsel.selection.best_subsets.bounds.closed` has the proof; tests hold it against
 enumeration. Linear
-programs first tell how much a denominator may exceed the others, as none is below the margin at
+programs first find how much a denominator may exceed the others, as none is below the margin at
 the check points and the guard points.
 
 The proof took {minutes:.0f} minutes on two cores. The optimum: {listed}.

@@ -109,7 +109,7 @@ chosen. The true RMSE is that of {many} other points. Both intervals are for nin
 END = """
 The interval of independent points holds in 88 to 96 %. With two degrees of freedom of a point it
 held in 81 to 88 %: errors are not normal, and line and sample differ, as relief and the sensor
-leave them so. The predicted interval holds in 82 to 95 %, least where few points have to tell many
+leave them so. The predicted interval holds in 82 to 95 %, least where few points have to fix many
 coefficients, or where an affine structure is wrong for many points.
 
 More points see more: a fit to 30 control points has errors of its own, so its mean error is not

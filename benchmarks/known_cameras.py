@@ -250,7 +250,7 @@ A camera of 4000 x 3000 px looks at hills, straight down or 15 to 50 degrees bel
 focal length is stated to {focal_error:g} %. Points have Student's errors of {freedom:g}
 degrees of freedom and {sigma:g} px, {truth} further ones likewise. The figures are those of auto's
 candidate `known-camera` alone, without the choice and the search for blunders. The resection has a
-soft L1 loss and begins at the true camera; it is told no lens and no flying height. Each cell has
+soft L1 loss and begins at the true camera; it is given no lens and no flying height. Each cell has
 {seeds} photos.
 
 {simulated}
@@ -263,12 +263,12 @@ blunders are by all of auto.
 ## What is missed
 
 - With four points the interval is wide: two equations are left, and how well points of photos are
-  usually measured (2 px, taken for two degrees of freedom) tells as much as they do.
-- With three points nothing but what is stated tells the noise, and predictions are far too low.
+  usually measured (2 px, taken for two degrees of freedom) counts as much as they do.
+- With three points the noise is known only by what is stated, and predictions are far too low.
 - Heights of the points that are wrong by metres are errors on the ground, which the view turns into
   errors of unlike sizes: the interval holds less often.
 - A wrong principal point and a distortion that is not stated are errors of the model, which few
-  points cannot tell from errors of measurement.
+  points cannot separate from errors of measurement.
 """
 
 

@@ -75,7 +75,7 @@ OF_SENSORS = {one.name: one for one in SENSORS}
 
 @dataclass(frozen=True)
 class Outcome:
-    """One draw of one set. Figures are independent RMSE by that of the best structure told.
+    """One draw of one set. Figures are independent RMSE by that of the best structure in hindsight.
 
     Parameters
     ----------
@@ -226,8 +226,8 @@ def verdict(found: list[tuple[str, list[Outcome]]]) -> str:
     every = [one for _, done in found for one in done]
     worst = max(((one.auto, name) for name, done in found for one in done))
     rows = [
-        ("auto: independent RMSE by that of the best structure told, median", "at most 1.05",
-         f"{np.median([one.auto for one in every]):.3f}"),
+        ("auto: independent RMSE by that of the best structure in hindsight, median",
+         "at most 1.05", f"{np.median([one.auto for one in every]):.3f}"),
         ("the same, worst", "at most 1.20", f"{worst[0]:.3f} ({worst[1]})"),
         ("the same, largest median of a set", "at most 1.05", max(
             f"{np.median([one.auto for one in done]):.3f} ({name})" for name, done in found)),

@@ -307,7 +307,7 @@ The RMSE is between half and twice the predicted one in {near:.0%} of scenes.
 - Panoramas: a cylinder is no central projection of a plane, and with fewer than 40 points every
   method is wrong by 100 px or more; which of them is less wrong is chance.
 - Few points: the projections have 7 to 11 unknowns, so that five to eight points leave little to
-  tell them apart. The greatest ratios are there.
+  distinguish them. The greatest ratios are there.
 - All cameras are free of distortion, and no point is wrong; [Blunders](blunders.md) has others.
 - Places outside the hull of the control are left out.
 """

@@ -221,7 +221,7 @@ kind, among a few round numbers.
 
 {summary}
 
-With one point no method tells a drift from a shift. Where the point lies at an edge that a drift
+With one point no method separates drift from shift. Where the point lies at an edge that a drift
 has moved, a shift by it is wrong elsewhere. Say the RPC has a drift d l about its middle and no
 shift, l being -1 to 1 over the lines. The RPC as delivered misses d / sqrt(3). Correcting the share
 q of what a point at l shows raises this by the factor sqrt(1 + 3 q^2 l^2), which is above 1.3 where

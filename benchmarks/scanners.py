@@ -131,7 +131,7 @@ more than 3 px are declined.
 - s1_grd_iw is merged of three swaths, with steps of some pixels. One of its splits in ten is 1.2
   and 1.4 times worse with 12 and 16 points.
 - Beyond 12 points the prior must also predict left-out points better; it ends at 18 points.
-- With 4 or 5 points nothing tells a scanner from another image, and the prior is not used.
+- With 4 or 5 points nothing distinguishes a scanner from another image, and the prior is not used.
 """
 
 

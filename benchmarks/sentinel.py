@@ -94,7 +94,7 @@ interval is what a run on the lattice alone promises, the error that against ran
 MAPS = """
 ## Maps of other programs, pixel by pixel
 
-The image has its own line and sample as pixels, so that maps by different ways tell how far apart
+The image has its own line and sample as pixels, so that maps by different ways show how far apart
 in the image their pixels were taken from. Relief is made up, between the lowest and the highest
 point. gdalwarp takes the RPC with the DEM; QGIS takes it at its height offset, and shows the
 nearest pixel: its figure is what is beyond half a pixel. Where the RPC is exact, what is left is

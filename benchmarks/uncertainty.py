@@ -293,7 +293,7 @@ planes came to be judged by fields of all smoothness, from 20 points on.
 
 ## What is missed
 
-Twelve points do not tell a field that is shorter than their distance from noise, so that what is
+Twelve points do not separate a field shorter than their distance from noise, so that what is
 known of measurements beforehand divides their scatter. The same scatter of half a pixel comes from
 noise alone on a sound plane, where the stated deviations are then too large, and in part from a
 sheet that is bent locally, where they are too small. No prior is right for both. `termsel sigma`
@@ -302,7 +302,7 @@ and the report say so where fewer than 20 points leave it open; columns `sigma_l
 
 A fault, as between two sheets, a tear or swaths of a scan, has no trace in the points unless they
 lie close to it on both sides. Few points may all agree with a sheet that is whole: then errors next
-to the fault are many standard deviations, and nothing can tell.
+to the fault are many standard deviations, and nothing can show it.
 """
 
 

@@ -68,7 +68,7 @@ def with_theme(chart: Any, title: str = "", look: str = "") -> Any:
     ).configure_legend(
         orient="top", direction="horizontal", title=None, labelFontSize=11.5, labelColor=INK,
         titleColor=INK, titleFontSize=11.5, titleFontWeight="normal", symbolSize=70,
-        offset=6, columnPadding=14, labelLimit=200,
+        offset=6, columnPadding=24, labelLimit=200,
     ).configure_header(labelColor=INK, labelFontSize=12, labelFontWeight=600)
 
 
