@@ -224,7 +224,7 @@ def verdict(one: list[tuple[str, int, list[Outcome]]], five: list[tuple[str, int
          f"{np.median([o.found for o in few]):.2f}"),
         ("the same, worst of 99 in 100 splits", "at most 1.50",
          _quantile([o.found for o in few])),
-        ("the same, with the wrong points known", "",
+        ("the same, with the blunders known", "",
          _quantile([o.told for o in few])),
         ("blunders named", "95 %", f"{np.mean([o.named for o in few]):.1%}"),
         ("right points left out", "at most 2 %", f"{np.mean([o.lost for o in few]):.2%}"),
