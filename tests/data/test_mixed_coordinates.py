@@ -142,3 +142,30 @@ def test_what_to_do_next_is_to_correct_the_coordinates(kind: str) -> None:
     assert "Next: run again with --off" not in words
     assert next_step(result, "result") == "Next: correct the coordinates, then run again"
     assert result.data.read.mixed == note_on_mixed(given)
+
+
+@pytest.mark.parametrize("crs", ["EPSG:32632", "EPSG:3035", "EPSG:27700"])
+def test_eastings_and_northings_in_kilometres_are_named(crs: str) -> None:
+    lon, lat = places(-2.5, 52.0, 0.1, 0.1) if crs == "EPSG:27700" else places(9.0, 47.0, 0.1, 0.1)
+    image = 10.0 * seen(lon, lat)
+    x, y = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True).transform(lon, lat)
+    assert not note_on_mixed(features(image, x, y, crs))
+    assert "x and y look like kilometres: times 1,000 they are in the area of" in note_on_mixed(
+        features(image, x / 1000, y / 1000, crs))
+
+
+@pytest.mark.parametrize("tilt", [0.2, 1.0])
+def test_heights_in_kilometres_are_named_where_the_image_shows_them(tilt: float) -> None:
+    rng = np.random.default_rng(4)
+    x, y = rng.uniform(0, 4000, (2, 20))
+    z = rng.uniform(400, 1900, 20)
+    image = np.column_stack([(4000 - y) / 2, (x + tilt * z) / 2]) + rng.normal(0, 0.5, (20, 2))
+    for heights, is_named in ((z, False), (z / 1000, True)):
+        ground = np.column_stack([6e5 + x, 5e6 + y, heights])
+        points = Points(tuple(map(str, range(20))), image, ground)
+        note = note_on_mixed(FeatureSet(points, crs="EPSG:32632"))
+        assert ("look like kilometres" in note) == is_named
+    flat = np.column_stack([6e5 + x, 5e6 + y, rng.uniform(0, 2, 20)])
+    image = np.column_stack([(4000 - y) / 2, x / 2]) + rng.normal(0, 0.5, (20, 2))
+    assert not note_on_mixed(FeatureSet(Points(tuple(map(str, range(20))), image, flat),
+                                        crs="EPSG:32632"))

@@ -276,3 +276,51 @@ def test_columns_called_x_and_y_are_not_taken_for_lines_and_samples(tmp_path: Pa
         termsel.read(table)
     assert caught.value.guesses == [
         "line=y_left.jpg,sample=x_left.jpg,x=x_right.jpg,y=y_right.jpg"]
+
+
+@pytest.mark.parametrize(("header", "meanings", "guess"), [
+    ("kp0_x,kp0_y,lon,lat,score", "sample line x y score",
+     "line=kp0_y,sample=kp0_x,x=lon,y=lat"),
+    ("X_src,Y_src,X_tgt,Y_tgt,rms", "sample line x y score",
+     "line=Y_src,sample=X_src,x=X_tgt,y=Y_tgt"),
+    ("mkpts0_x,mkpts0_y,mkpts1_x,mkpts1_y,mconf", "sample line sample2 line2 score",
+     "line=mkpts0_y,sample=mkpts0_x,x=mkpts1_x,y=mkpts1_y"),
+    ("col_a,row_a,col_b,row_b", "sample line sample2 line2",
+     "line=row_a,sample=col_a,x=col_b,y=row_b")])
+def test_names_say_which_axis_a_column_runs_along(header: str, meanings: str, guess: str,
+                                                  tmp_path: Path) -> None:
+    columns = COLUMNS | METRES | {
+        "score": np.linspace(0.3, 0.9, N), "sample2": np.round(SAMPLE * 0.5 + 7, 1),
+        "line2": np.round(LINE * 0.5 + 3, 1)}
+    path = tmp_path / "table.csv"
+    rows = zip(*(columns[name].tolist() for name in meanings.split()), strict=True)
+    path.write_text("\n".join([header, *(",".join(map(str, row)) for row in rows)]))
+    with pytest.raises(TermselError) as error:
+        termsel.read(path, crs="EPSG:32633")
+    assert error.value.guesses[0] == guess
+
+
+def test_a_fifth_column_of_small_numbers_may_be_residuals(tmp_path: Path) -> None:
+    path = tmp_path / "table.txt"
+    residuals = np.round(_rng.normal(0, 0.6, N), 2)
+    rows = zip(*(column.tolist() for column in (SAMPLE, LINE, *METRES.values(), residuals)),
+               strict=True)
+    path.write_text("\n".join(" ".join(map(str, row)) for row in rows))
+    with pytest.raises(TermselError) as error:
+        termsel.read(path, crs="EPSG:32633")
+    assert error.value.guesses == ["line=2,sample=1,x=3,y=4,z=5", "line=2,sample=1,x=3,y=4"]
+
+
+@pytest.mark.parametrize("header", ["E [km],N [km],H (km),row,col", "x_km,y_km,z_km,line,sample"])
+def test_columns_in_kilometres_by_their_names_are_read_in_metres(
+        header: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO", "termsel")
+    path = tmp_path / "table.csv"
+    ground = np.column_stack([*METRES.values(), COLUMNS["z"]])
+    rows = np.column_stack([ground / 1000, LINE, SAMPLE]).tolist()
+    path.write_text("\n".join([header, *(",".join(map(repr, row)) for row in rows)]))
+    points = termsel.read(path, crs="EPSG:32633").points
+    assert np.abs(points.ground - ground).max() < 1e-6
+    name = header.split(",")[0]
+    assert f"Note: {name} is in kilometres by its name, and is multiplied by 1,000." \
+        in caplog.messages

@@ -92,7 +92,7 @@ def test_names_tell_the_encoding(name: str, encoding: str, tmp_path: Path) -> No
      "id=id,line=v,sample=u,x=easting,y=northing,z=height?"),
     ("id;line;sample;a;b;c", "id line sample y x z", "id=id,line=line,sample=sample,x=b,y=a,z=c"),
     ("id;line;sample;rmse;a;b;c", "id line sample rmse x y z",
-     "id=id,line=line,sample=sample,x=a,y=b"),
+     "id=id,line=line,sample=sample,x=a,y=b,z=c"),
 ])
 def test_a_pair_that_the_other_explains_is_guessed(header: str, meanings: str, guess: str,
                                                    tmp_path: Path) -> None:

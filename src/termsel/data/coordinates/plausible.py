@@ -9,11 +9,13 @@ import numpy as np
 from termsel.core.errors import TermselError, counted, first_of
 from termsel.data.coordinates.crs import (
     UTM,
+    area_of_use,
     body_of,
     ellipsoid_of,
     kind_of,
     normalise,
     short,
+    to_wgs84,
     transformation,
 )
 from termsel.data.coordinates.metres import is_in_degrees
@@ -187,6 +189,20 @@ NO_IMAGE = 1e8
 """Line or sample beyond the end of any image."""
 
 
+_MOST_KILOMETRES = 21_000.0
+"""Largest easting or northing in kilometres; those with a zone in front are beyond it."""
+_AROUND = 3.0
+"""Degrees by which a scene may be outside the area of its CRS."""
+_SMALLEST_PIXEL = 0.003
+"""Size of a pixel on the ground [m] below which no image of a landscape is."""
+_HIGHEST_KILOMETRES = 9.0
+_DEGREE = 111_320.0  # metres
+_NO_TANGENT = 30.0
+"""Tangent of the angle of view from the vertical beyond which no affine image is: 88 degrees."""
+_CERTAIN = 6.0
+"""Slope by its standard deviation from which on it is no chance."""
+
+
 def note_on_mixed(features: FeatureSet) -> str:
     """Return which coordinates look as if they were of another kind than they should be; or ""."""
     points = features.points
@@ -205,7 +221,75 @@ def note_on_mixed(features: FeatureSet) -> str:
                     "pixels.")
     if len(points) < MIN_AFFINE_POINTS or not features.crs:
         return ""
-    return _two_zones(features) or _note_on_minutes(features)
+    return (_note_on_kilometres(features) or _two_zones(features) or _note_on_minutes(features)
+            or _note_on_heights_in_kilometres(features))
+
+
+def _note_on_kilometres(features: FeatureSet) -> str:
+    """Return a note that eastings and northings look like kilometres; "" if they do not.
+
+    A thousand times as large they are in the area of their CRS; as they stand they are not, or an
+    image that shows metres of ground has pixels of millimetres.
+    """
+    crs = normalise(features.crs)
+    points = features.points
+    plan = points.ground[:, :2]
+    if kind_of(crs) != "projected" or np.abs(plan).max() > _MOST_KILOMETRES:
+        return ""
+    area = area_of_use(crs)
+    if area is None or not _is_in_area(1000.0 * plan, crs, area, _AROUND):
+        return ""
+    pixel = np.linalg.norm(np.ptp(plan, axis=0)) / np.linalg.norm(np.ptp(points.image, axis=0))
+    if _is_in_area(plan, crs, area, 0.0) and pixel > _SMALLEST_PIXEL:
+        return ""
+    return (f"x and y look like kilometres: times 1,000 they are in the area of {short(crs)}. "
+            "Write them in metres, or end the names of their columns in km, such as x_km and "
+            "y_km.")
+
+
+def _is_in_area(plan: FloatArray, crs: str, area: tuple[float, float, float, float],
+                around: float) -> bool:
+    """Return whether the middle of positions is in an area, or within degrees around it."""
+    middle = np.append(np.median(plan, axis=0), 0.0)
+    lon, lat = to_wgs84(crs)(middle[None])[0, :2].tolist()
+    west, south, east, north = area
+    width = (east - west) % 360.0 or 360.0
+    return bool(south - around <= lat <= north + around
+                and (lon - west + around) % 360.0 <= width + 2 * around)
+
+
+def _note_on_heights_in_kilometres(features: FeatureSet) -> str:
+    """Return a note that heights look like kilometres, by what the image shows of them; or "".
+
+    In an affine image of the ground, a metre of height moves a point by tan(angle of view) metres.
+    In kilometres the tangent is a thousand times as large.
+    """
+    ground = features.points.ground
+    heights = ground[:, 2]
+    usable = np.isfinite(heights)
+    if usable.sum() < 2 * MIN_AFFINE_POINTS or np.abs(heights[usable]).max() > _HIGHEST_KILOMETRES:
+        return ""
+    plan = ground[usable, :2] - ground[usable, :2].mean(axis=0)
+    if is_in_degrees(features.crs):
+        plan = plan * _DEGREE * [np.cos(np.radians(np.median(ground[usable, 1]))), 1.0]
+    above = heights[usable] - heights[usable].mean()
+    design = np.column_stack([np.ones(len(plan)), plan, above])
+    image = features.points.image[usable]
+    slopes, _, rank, _ = np.linalg.lstsq(design, image, rcond=None)
+    determinant = abs(np.linalg.det(slopes[1:3]))
+    if rank < design.shape[1] or not determinant > 0.0:
+        return ""
+    residuals = image - design @ slopes
+    sigma = np.sqrt((residuals**2).sum() / (residuals.size - 8))
+    size = float(np.linalg.norm(slopes[3]))  # px a unit of height
+    deviation = sigma * np.sqrt(np.linalg.inv(design.T @ design)[3, 3])
+    tangent = size / np.sqrt(determinant)
+    if tangent < _NO_TANGENT or size < _CERTAIN * deviation:
+        return ""
+    low, high = heights[usable].min(), heights[usable].max()
+    return (f"The heights, from {low:.3g} to {high:.3g}, look like kilometres: as metres they "
+            "would move the image far more than any view does. Write them in metres, or end the "
+            "name of their column in km, such as z_km.")
 
 
 def _two_zones(features: FeatureSet) -> str:

@@ -72,7 +72,14 @@ FOREIGN = frozenset(name for name in frozenset().union(*_FURTHER.values()) if no
 CENTRAL_EUROPEAN = ("wysokość", "długość", "szerokość", "północ")
 """Names, as they are written in Poland, that only one encoding of a text gives."""
 
-_UNIT = re.compile(r"\s*[\[({<【].*$|[\s_.-]+(px|pix|pixels?|m|deg|degrees?|dms|wgs84|utm)$")
+_UNIT = re.compile(
+    r"\s*[\[({<【].*$|[\s_.-]+(px|pix|pixels?|m|km|deg|degrees?|dms|wgs84|utm)$")
+_KILOMETRES = re.compile(r"[\[({<【]\s*km\s*[\])}>】]|[\s_.-]km$", re.IGNORECASE)
+
+
+def is_in_kilometres(name: str) -> bool:
+    """Return whether the name of a column says that it is in kilometres, as E [km] and z_km do."""
+    return _KILOMETRES.search(name.strip()) is not None
 
 
 def folded(name: str) -> str:

@@ -19,6 +19,7 @@ from termsel.data.tables.columns import (
     BadCell,
     decimal_signs,
     declared,
+    folded,
     matches,
     parse_columns,
     read_numbers,
@@ -41,6 +42,18 @@ _SHEETS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
 _HIGHEST = 30_000.0
 """Height of the highest ground, in feet."""
 
+_SMALL = 9.0
+"""Numbers below this may be residuals or scores as well as heights."""
+
+_SCORES = frozenset((
+    "score", "scores", "confidence", "conf", "mconf", "ncc", "cc", "corr", "correlation",
+    "distance", "dist", "quality", "weight", "prob", "probability", "rms", "rmse", "residual",
+    "residuals", "resid", "error", "err", "similarity", "ssim"))
+"""Names of columns that say how good a match or a point is."""
+_ACROSS = frozenset(("x", "col", "column", "cols"))
+_DOWN = frozenset(("y", "row", "rows"))
+"""Words in names of columns that say along which axis they run."""
+
 _SPREADSHEETS = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
 
 
@@ -57,16 +70,17 @@ def with_advice(error: TermselError, header: Sequence[str], rows: Sequence[Seque
     # Readings are of points: a table of lines has too many ways.
     if "line" not in aliases or "x" not in aliases:
         return error
+    scores = [i for i, name in enumerate(header) if folded(name) in _SCORES]
     readings = []
     for meanings in _ways_to_take_names(header, known_columns):
-        for reading in _readings(rows, len(header), meanings):
+        for reading in _readings(rows, len(header), meanings, scores):
             readings.append({**reading, **meanings})
-    readings = _by_letters(readings, header)
+    readings = _by_axes_in_names(readings, header)
     numbers = _number_columns([row for row in rows[:_ROWS] if len(row) == len(header)])
     in_image = [reading for reading in readings if _is_in_an_image(numbers, reading)]
     complete = [reading for reading in in_image if reading.keys() >= _REQUIRED]
     if names_may_mislead and not any(_shows_ground(numbers, reading) for reading in complete):
-        by_numbers = [reading for reading in _readings(rows, len(header), {})
+        by_numbers = [reading for reading in _readings(rows, len(header), {}, scores)
                       if _is_in_an_image(numbers, reading) and _shows_ground(numbers, reading)]
         if by_numbers:
             complete = by_numbers
@@ -84,23 +98,20 @@ def with_advice(error: TermselError, header: Sequence[str], rows: Sequence[Seque
                           known_columns, aliases, fixed)
 
 
-_LETTER = re.compile(r"([xy])(?![a-z])", re.IGNORECASE)
+def _by_axes_in_names(readings: Sequence[dict[str, int]], header: Sequence[str],
+                      ) -> list[dict[str, int]]:
+    """Return readings in which pairs run as their names say, such as kp_x and kp_y; each once.
 
-
-def _by_letters(readings: Sequence[dict[str, int]], header: Sequence[str]) -> list[dict[str, int]]:
-    """Return readings in which columns called x_... and y_... are not exchanged; each once.
-
-    Samples and x are along x, lines and y along y.
+    Samples and x run across an image, lines and y down or up.
     """
-    letters = [_LETTER.match(name.strip()) for name in header]
+    axes = [_axis_in_name(name) for name in header]
     result: list[dict[str, int]] = []
     for reading in readings:
         changed = dict(reading)
-        for along_x, along_y in (("sample", "line"), ("x", "y")):
-            pair = [letters[changed[name]] if name in changed else None
-                    for name in (along_x, along_y)]
-            if all(pair) and [letter[1].lower() for letter in pair if letter] == ["y", "x"]:
-                changed[along_x], changed[along_y] = changed[along_y], changed[along_x]
+        for across, down in (("sample", "line"), ("x", "y")):
+            if {across, down} <= reading.keys() and (
+                    axes[reading[across]], axes[reading[down]]) == ("down", "across"):
+                changed |= {across: reading[down], down: reading[across]}
         if changed not in result:
             result.append(changed)
     return result
@@ -332,24 +343,38 @@ def _number_columns(rows: Sequence[Sequence[str]]) -> dict[int, FloatArray]:
     return numbers
 
 
-def _readings(rows: Sequence[Sequence[str]], width: int,
-              known_columns: Mapping[str, int]) -> list[dict[str, int]]:
+def _axis_in_name(name: str) -> str:
+    """Return whether a name says that its column runs across or down an image; "" if neither."""
+    words = set(re.split(r"[\W_\d]+", name.casefold()))
+    across = bool(words & _ACROSS)
+    down = bool(words & _DOWN)
+    return "" if across == down else "across" if across else "down"
+
+
+def _readings(rows: Sequence[Sequence[str]], width: int, known_columns: Mapping[str, int],
+              scores: Collection[int] = ()) -> list[dict[str, int]]:
     """Return in which ways columns can be read whose meaning is not known, the likeliest first.
 
-    Flags and columns that hold one number are no coordinates; a column that counts the points, or
-    of text, is their id. Of the others, pairs lie next to each other: sample and line, x and y.
+    Columns of `scores` have none. Flags and columns that hold one number are no coordinates; a
+    column that counts the points, or of text, is their id. Of the others, pairs lie next to each
+    other: sample and line, x and y.
     """
     rows = [row for row in rows[:_ROWS] if len(row) == width]
     numbers = {i: column for i, column in _number_columns(rows).items()
-               if i not in known_columns.values()}
-    extra = _id_and_flags(rows, numbers, known_columns)
+               if i not in known_columns.values() and i not in scores}
+    extra = _id_and_flags(rows, numbers, {*known_columns.values(), *scores},
+                          has_id="id" in known_columns, has_flag="enabled" in known_columns)
     # A constant column is no coordinate.
     taken_columns = extra.values()
     values = _without_scores({i: column for i, column in numbers.items() if i not in taken_columns
                               and np.nanmin(column) < np.nanmax(column)})
     coordinates = known_columns.keys() & {"line", "sample", "x", "y", "z"}
     if not coordinates and len(values) in (4, 5):
-        return [extra | reading for reading in _readings_of_pairs(values)]
+        of_pairs = _readings_of_pairs(values)
+        # A fifth column of small numbers may be residuals as well as heights.
+        without = [{name: i for name, i in reading.items() if name != "z"} for reading in of_pairs
+                   if "z" in reading and np.nanmax(np.abs(values[reading["z"]])) < _SMALL]
+        return [extra | reading for reading in [*of_pairs, *without]]
     of_pair = _readings_of_one_pair(_number_columns(rows), values, known_columns)
     if of_pair:
         return [extra | reading for reading in of_pair]
@@ -378,24 +403,24 @@ def _without_scores(values: dict[int, FloatArray]) -> dict[int, FloatArray]:
 
 
 def _id_and_flags(rows: Sequence[Sequence[str]], numbers: Mapping[int, FloatArray],
-                  known_columns: Mapping[str, int]) -> dict[str, int]:
+                  others: Collection[int], *, has_id: bool, has_flag: bool) -> dict[str, int]:
     """Return the column of ids, and of the flags 0 and 1 of points that are in use."""
     extra: dict[str, int] = {}
     texts = []
     for i, cells in enumerate(zip(*rows, strict=True)):
         # The same text twice, such as the name of an image, is no id.
-        if i not in numbers and i not in known_columns.values() and len(set(cells)) == len(cells):
+        if i not in numbers and i not in others and len(set(cells)) == len(cells):
             texts.append(i)
     # Consecutive numbers in the first column are ids.
     first = next(iter(numbers), None)
     counts = first is not None and len(numbers) > 4 and np.array_equal(
         numbers[first] - numbers[first][0], np.arange(len(numbers[first])))
-    if "id" not in known_columns and counts and first is not None:
+    if not has_id and counts and first is not None:
         extra["id"] = first
-    elif "id" not in known_columns and texts:
+    elif not has_id and texts:
         extra["id"] = texts[0]
     flags = [i for i, column in numbers.items() if np.isin(column, (0.0, 1.0)).all()]
-    if flags and "enabled" not in known_columns:
+    if flags and not has_flag:
         extra["enabled"] = flags[-1]
     return extra
 
@@ -458,6 +483,9 @@ def _readings_of_pairs(values: Mapping[int, FloatArray]) -> list[dict[str, int]]
         divisions = [image_first if last_is_ground else ground_first]
     elif z == free[2:3]:
         divisions = [ground_first]
+    elif not z:
+        # Pixels of two images, or a place whose coordinates are as small as pixels.
+        divisions = [image_first, ground_first]
     elif z == free[4:]:
         divisions = [image_first]
     else:

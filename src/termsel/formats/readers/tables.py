@@ -31,6 +31,7 @@ from termsel.data.tables.columns import (
     BadCell,
     decimal_signs,
     declared,
+    is_in_kilometres,
     matches,
     parse_columns,
     read_numbers,
@@ -218,6 +219,10 @@ class Table:
             raise self.error(f"{numbers[voids[0]]:.0f} is no height, but what rasters have where "
                              f"there is none{further}", int(voids[0]), meaning,
                              "Leave these cells blank, or correct them.")
+        if meaning[0] in "xyz" and is_in_kilometres(self.names.get(meaning, "")):
+            log.info("Note: %s is in kilometres by its name, and is multiplied by 1,000.",
+                     self.names[meaning].strip())
+            return numbers * 1000.0
         return numbers
 
 

@@ -21,6 +21,8 @@ _AROSICS = ("POINT_ID", "X_IM", "Y_IM", "X_MAP", "Y_MAP", "X_SHIFT_M", "Y_SHIFT_
 # AROSICS' fill value.
 _NO_MATCH = -9999.0
 NEEDS_REFERENCE = "the matches are pixels of two images, so the reference is needed"
+NO_PIXEL = 100_000.0
+"""Line or sample beyond which next to no image has pixels."""
 _POSITION_COLUMNS = (("image_line", "image_sample", "reference_line", "reference_sample"),
                      ("y1", "x1", "y2", "x2"), ("y0", "x0", "y1", "x1"))
 
@@ -98,6 +100,16 @@ class MatchesCsv(Reader):
             if "sigma" in cells:
                 sigma.append(_number(cells, "sigma", path, line))
         positions = np.array(rows).reshape(-1, 4)
+        line_name, sample_name, y, x = names
+        columns = ("--format points-csv --columns "
+                   f"sample={sample_name},line={line_name},x={x},y={y}")
+        if len(rows) and np.abs(positions[:, 2:]).max() > NO_PIXEL:
+            raise TermselError(f"{x} and {y} are beyond any image, and look like map coordinates",
+                               file=path, hint=f"If they are, declare the columns: {columns}.")
+        if not self.options["reference"]:
+            raise TermselError(NEEDS_REFERENCE, file=path, hint=(
+                "Give it with --set reference=ORTHO.tif. If the second places are on the ground, "
+                f"declare the columns: {columns}."))
         return with_ground(path, ids, positions[:, :2], positions[:, 2:], self.options["reference"],
                             np.repeat(sigma, 2).reshape(-1, 2) if sigma else None)
 
