@@ -15,7 +15,7 @@ from termsel.selection.best_subsets.bounds.poles import node_bound, order_column
 from termsel.selection.best_subsets.columns.system import SubsetSystem, SubtreeNode
 from termsel.selection.best_subsets.descents import _single_changes
 from termsel.selection.best_subsets.score_systems import ScoreSystems, score_systems
-from termsel.selection.best_subsets.splicing import spliced
+from termsel.selection.best_subsets.splicing import spliced, tells_changes
 from termsel.selection.best_subsets.subsets import SubsetResult, search
 
 pytestmark = pytest.mark.usefixtures("bounds_of_few")
@@ -193,12 +193,30 @@ def test_with_figures_the_sizes_that_smaller_ones_beat_stay_unknown(
     assert spared > 25
 
 
-def test_splicing_finds_the_best_of_all_changes_by_a_column() -> None:
+def with_check_points(rng: np.random.Generator, system: SubsetSystem) -> SubsetSystem:
+    """Return a quotient, or a polynomial, that is judged at as many check points as control."""
+    rows = rng.permutation(len(system.design))
+    half = len(rows) // 2
+    check, control = rows[:half], rows[half:]
+    is_quotient = rng.integers(2) and system.target.shape[1] == 1
+    below = rng.uniform(-0.3, 0.3, system.design.shape) if is_quotient else None
+    return replace(system, design=system.design[control], target=system.target[control],
+                   check_design=system.design[check], check_target=system.target[check],
+                   denominator=None if below is None else below[control],
+                   check_denominator=None if below is None else below[check])
+
+
+@pytest.mark.parametrize("score", ["rss", "check"])
+def test_splicing_finds_the_best_of_all_changes_by_a_column(score: str) -> None:
     rng = np.random.default_rng(11)
     compared = 0
     for _ in range(120):
         system = problem(rng)
-        systems = score_systems(system, "rss", (), int(rng.integers(3, 7)))
+        if score == "check":
+            system = with_check_points(rng, system)
+        systems = score_systems(system, score, (), int(rng.integers(3, 7)))
+        if not tells_changes(systems):
+            continue
         everything = systems.everything
         count = int(rng.integers(0, everything.room + 1))
         members = rng.permutation(everything.candidates)[:count]

@@ -1,8 +1,9 @@
 """The best subsets that differ from one by a column, all told from one factorisation.
 
-Descents look at every such change of a subset. Of residual sums of squares one factorisation of the
-subset shows them all, as the sacrifices of splicing do (Zhu et al. 2020, PNAS 117(52)), but exactly
-and for exchanges as well. So only the best of each size is scored as every subset is.
+Descents look at every such change of a subset. One factorisation of the subset shows the scores of
+all of them, as the sacrifices of splicing do (Zhu et al. 2020, PNAS 117(52)), but exactly and for
+exchanges as well: residual sums of squares, and errors of check points. So only the best of each
+size is scored as every subset is.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import numpy as np
 
 from termsel.adjustment.solve import TOLERANCE
 from termsel.data.features import FloatArray, IntArray
+from termsel.selection.best_subsets.columns.kernels import LINEAR, RATIONAL, RSS
 from termsel.selection.best_subsets.columns.system import BITS, Masks, SubtreeNode
 from termsel.selection.best_subsets.score_systems import ScoreSystems
 
@@ -62,15 +64,23 @@ def spliced(systems: ScoreSystems, mask: int, best: FloatArray, masks: Masks,
     return best, masks
 
 
+def tells_changes(systems: ScoreSystems) -> bool:
+    """Return whether `spliced` knows the score: residuals, or errors of check points, one target's.
+    """
+    one_target = systems.systems[0].control.shape[1] == systems.k + 1
+    return systems.kind == RSS or (systems.kind in (LINEAR, RATIONAL) and one_target
+                                   and len(systems.systems) == 1)
+
+
 def _scores(systems: ScoreSystems, used: IntArray, members: IntArray,
             outsiders: IntArray) -> FloatArray | None:
-    """Return the residual sums of squares (1 + members, 1 + outsiders) after each change.
+    """Return the scores (1 + members, 1 + outsiders) after each change.
 
     Row 0 keeps all members, the others drop one each; column 0 adds none, so that [0, 0] is the
     subset itself. Infinite where columns would be dependent; None if those of the subset are. With
-    the residuals v of a column and t of the target, adding the column takes (v't)^2 / v'v off t't.
-    A dropped member gives back what its dual vector u, of length 1, has of them: t grows by (u'b)
-    u, and v by (u'a) u.
+    the residuals v of a column and t of the target, adding the column takes the share s = v't / v'v
+    of it off t. A dropped member gives back what its dual vector u, of length 1, has of them: t
+    grows by (u'b) u, and v by (u'a) u.
     """
     rows = systems.systems[0]
     subset = np.concatenate([members, used])
@@ -79,19 +89,45 @@ def _scores(systems: ScoreSystems, used: IntArray, members: IntArray,
     Q, R = np.linalg.qr(rows.control[:, subset])
     if len(R) < len(subset) or (np.abs(np.diag(R)) <= TOLERANCE * rows.lengths[subset]).any():
         return None
+    inverse = np.linalg.inv(R)
     # The columns of Q R^-T: each is orthogonal to all of the subset but its own.
-    dual = Q @ np.linalg.inv(R).T[:, :len(members)]
-    dual /= np.linalg.norm(dual, axis=0)
+    dual = Q @ inverse.T[:, :len(members)]
+    dual_lengths = np.linalg.norm(dual, axis=0)
+    dual /= dual_lengths
     t = target - Q @ (Q.T @ target)
     v = columns - Q @ (Q.T @ columns)
     u_b = np.vstack([np.zeros(target.shape[1]), dual.T @ target])
     u_a = np.vstack([np.zeros(len(outsiders)), dual.T @ columns])
     lengths = (v**2).sum(axis=0) + u_a**2
     products = v.T @ t + u_a[:, :, None] * u_b[:, None, :]
-    before = (t**2).sum() + (u_b**2).sum(axis=1)
     independent = lengths > (TOLERANCE * rows.lengths[outsiders]) ** 2
-    after = np.full(lengths.shape, np.inf)
-    gains = np.divide((products**2).sum(axis=2), lengths, where=independent,
-                      out=np.zeros(lengths.shape))
-    after[independent] = (before[:, None] - gains)[independent]
-    return np.column_stack([before, after])
+    if systems.kind == RSS:
+        before = (t**2).sum() + (u_b**2).sum(axis=1)
+        gains = np.divide((products**2).sum(axis=2), lengths, where=independent,
+                          out=np.zeros(lengths.shape))
+        after = np.where(independent, before[:, None] - gains, np.inf)
+        return np.column_stack([before, after])
+    # The same in the rows of the score: what the columns leave there, and the dual vectors.
+    later = np.append(outsiders, systems.k)
+    left = rows.extra[:, later] - rows.extra[:, subset] @ (inverse @ (Q.T @ rows.control[:, later]))
+    z = rows.extra[:, subset] @ (inverse @ inverse.T[:, :len(members)]) / dual_lengths
+    z = np.vstack([np.zeros(len(rows.extra)), z.T])
+    without = left[:, -1] + u_b * z
+    shares = np.divide(products[:, :, 0], lengths, where=independent, out=np.zeros(lengths.shape))
+    added = left[:, :-1].T[None] + u_a[:, :, None] * z[:, None]
+    errors = np.concatenate([without[:, None], without[:, None] - shares[:, :, None] * added],
+                            axis=1)
+    scores = _score_of_errors(systems, errors)
+    scores[:, 1:][~independent] = np.inf
+    return scores
+
+
+def _score_of_errors(systems: ScoreSystems, errors: FloatArray) -> FloatArray:
+    """Return the scores of errors (..., e), or of e errors and e denominators with a minus sign."""
+    if systems.kind == LINEAR:
+        return np.asarray((errors**2).sum(axis=-1))
+    half = errors.shape[-1] // 2
+    denominators = -errors[..., half:]
+    too_small = denominators < systems.margin
+    quotients = errors[..., :half] / np.where(too_small, 1.0, denominators)
+    return np.where(too_small.any(axis=-1), np.inf, (quotients**2).sum(axis=-1))
