@@ -78,8 +78,8 @@ def test_folder_that_exists_is_left_alone(files: Path, tmp_path: Path,
     (tmp_path / "file").write_text("mine")
     for name, what in (("mine", "this folder exists already"),
                        ("file", "a file of this name exists already"),
-                       ("nowhere/files", "cannot write this folder: No such file"),
-                       ("file/files", "cannot write this folder: Not a directory")):
+                       ("nowhere/files", "the folder above this one does not exist"),
+                       ("file/files", "file is a file, not a folder")):
         done = call("example", tmp_path / name)
         assert done.exit_code == 2
         assert what in done.stderr

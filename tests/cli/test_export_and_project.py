@@ -346,6 +346,18 @@ def test_project_refuses(text: str, arguments: list[str], message: str, folder: 
     assert message in err
 
 
+@pytest.mark.parametrize(("place", "message"), [
+    ("270000,3854000", "cannot be longitude and latitude in"),
+    ("20,36", "the image shows none of the positions")])
+def test_plan_takes_no_candidates_of_another_crs_or_place(place: str, message: str, folder: Path,
+                                                          tmp_path: Path) -> None:
+    table = tmp_path / "candidates.csv"
+    table.write_text(f"id,x,y,z\na,{place},1100\n")
+    code, out, err = _termsel("plan", folder, "--candidates", table)
+    assert (code, out) == (2, "")
+    assert message in err
+
+
 @pytest.mark.slow
 def test_text_formats_need_no_packages_for_rasters(folder: Path, tmp_path: Path) -> None:
     """RPC text, .points and CSV are written without the extra `gis`; others name it."""

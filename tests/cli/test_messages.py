@@ -194,6 +194,11 @@ def test_a_folder_that_termsel_wrote_leads_to_its_command(tmp_path: Path) -> Non
     assert f"termsel report {tmp_path} shows the result" in refused("run", str(tmp_path))
 
 
+def test_a_file_in_place_of_a_command_leads_to_run(example_files: Path) -> None:
+    points = str(example_files / "gcps.csv")
+    assert f"Points are fitted by: termsel run {points}" in refused(points)
+
+
 def test_a_misspelt_option_of_a_model_is_recognised(example_files: Path) -> None:
     message = refused("run", str(example_files / "gcps.csv"), "--set", "degre=2")
     assert "Did you mean 'degree'? It is an option of the model poly2d" in message

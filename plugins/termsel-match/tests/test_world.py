@@ -58,7 +58,7 @@ def test_bad_sizes_and_folders_are_refused(place: Any, says: Any, tmp_path: Path
     assert f"{place.folder}: this folder exists already. Name a new folder." in text
     code, text = says("match-example", tmp_path / "none/such", "--size", 200)
     assert code == 2
-    assert "cannot write this folder" in text
+    assert "the folder above this one does not exist" in text
     assert not list(tmp_path.iterdir())
 
 

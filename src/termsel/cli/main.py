@@ -88,6 +88,9 @@ class Commands(click.Group):
         if command is None and not ctx.resilient_parsing:
             from termsel.plugins.registry import registry
 
+            if os.path.isfile(args[0]):
+                raise TermselError(f"{args[0]} is a file, and a command comes first",
+                                   hint=f"Points are fitted by: termsel run {shlex.quote(args[0])}")
             names = [*COMMANDS, *registry().names("commands")]
             raise unknown_name("command", args[0], names, registry().hint(args[0], "commands"))
         if command is not None and not ctx.resilient_parsing:

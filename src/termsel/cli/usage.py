@@ -232,7 +232,8 @@ def _extra_words(error: click.ClickException) -> str:
     if extra is None or ctx is None:
         return error.format_message()
     usage = " ".join(ctx.command.collect_usage_pieces(ctx))
-    remedy = "A name with spaces needs quotation marks."
+    takes_words = any(isinstance(param, click.Argument) for param in ctx.command.params)
+    remedy = "A name with spaces needs quotation marks." if takes_words else "Leave it out."
     if any("--points" in param.opts for param in ctx.command.params):
         remedy = f"A file of points is given by --points FILE. {remedy}"
     return f"{extra[1]!r} is more than this command takes: {ctx.command_path} {usage}. {remedy}"

@@ -82,9 +82,14 @@ def plan(result: Result, count: int, candidates: Path | None = None) -> Plan:
                     "--height H, writes a table that has them."
             raise
         ids = tuple(named)
-    is_seen = np.isfinite(fitted.project(positions)).all(axis=1)
+    image = fitted.project(positions)
+    is_seen = np.isfinite(image).all(axis=1)
+    size = fitted.control.image_size
+    if candidates is not None and size is not None:
+        with np.errstate(invalid="ignore"):
+            is_seen &= ((image > -0.5) & (image < np.array(size) - 0.5)).all(axis=1)
     if not is_seen.any() or not len(scene):
-        raise TermselError("the model sees none of the positions", file=candidates,
+        raise TermselError("the image shows none of the positions", file=candidates,
                            hint="Give positions in the CRS of the control, inside the scene.")
     # Places that the image does not show cannot be measured.
     numbers = np.flatnonzero(is_seen)

@@ -85,14 +85,6 @@ def project_table(
                 error.hint = ("These are image positions: add --inverse, with --dem FILE or "
                               "--height H, for ground positions.")
             raise
-        try:
-            check_ground(FeatureSet(Points(tuple(ids), np.zeros((len(ids), 2)), ground), crs=crs))
-        except TermselError as error:
-            error.file = path
-            swapped = "The columns look swapped. " if "swapped" in (error.hint or "") else ""
-            error.hint = f"{swapped}The points must be in the CRS of the control, {short(crs)}: " \
-                "transform them to it."
-            raise
         with np.errstate(all="ignore"):
             image = result.project(ground)
         image[~np.isfinite(image)] = np.nan
@@ -180,6 +172,7 @@ def read_ground(result: Result, path: Path, columns: str = "", dem: Path | None 
     present = [name for name in names if name in table.columns]
     ground[:, :len(present)] = table.stack(*present)
     ids = table.ids()
+    _require_crs_of_control(ids, ground, crs, path)
     if not model.uses_height:
         return ids, ground
     blank = np.flatnonzero(np.isnan(ground[:, 2]))
@@ -195,6 +188,18 @@ def read_ground(result: Result, path: Path, columns: str = "", dem: Path | None 
         raise table.error(HEIGHT_MISSING, int(blank[0]), "z",
                           "Give heights by --dem FILE or --height H, or in the file.")
     return ids, ground
+
+
+def _require_crs_of_control(ids: Sequence[str], ground: FloatArray, crs: str, path: Path) -> None:
+    """Raise TermselError for ground positions that cannot be in the CRS of the control."""
+    try:
+        check_ground(FeatureSet(Points(tuple(ids), np.zeros((len(ids), 2)), ground), crs=crs))
+    except TermselError as error:
+        error.file = path
+        swapped = "The columns look swapped. " if "swapped" in (error.hint or "") else ""
+        error.hint = f"{swapped}The points must be in the CRS of the control, {short(crs)}: " \
+            "transform them to it."
+        raise
 
 
 def _lacks_a_column(error: TermselError) -> bool:

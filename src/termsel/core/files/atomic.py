@@ -129,6 +129,11 @@ def new_folder(folder: Path) -> Iterator[Path]:
         raise TermselError("this folder exists already" if folder.is_dir() else
                            "a file of this name exists already", file=folder,
                            hint="Name a new folder.")
+    if not folder.absolute().parent.is_dir():
+        parent = folder.absolute().parent
+        raise TermselError(f"{parent} is a file, not a folder" if parent.exists() else
+                           "the folder above this one does not exist", file=folder,
+                           hint="Make it first, or name another folder.")
     try:
         # On the same disk, so that the rename is one step: the folder is there completely or not at
         # all.
