@@ -196,7 +196,7 @@ def test_a_folder_that_termsel_wrote_leads_to_its_command(tmp_path: Path) -> Non
 
 def test_a_file_in_place_of_a_command_leads_to_run(example_files: Path) -> None:
     points = str(example_files / "gcps.csv")
-    assert f"Points are fitted by: termsel run {points}" in refused(points)
+    assert f"Points are fitted by: termsel run '{points}'" in refused(points)
 
 
 def test_a_misspelt_option_of_a_model_is_recognised(example_files: Path) -> None:
@@ -218,6 +218,8 @@ def test_the_method_of_an_rpc_asks_for_one(example_files: Path) -> None:
      "there is no option --crs. It belongs to termsel run, compare, rectify. Known: --survey"),
     (["project", "x", "--points", "y", "--out", "z"], "Did you mean --output?"),
     (["rectify", "x", "y", "-o", "z", "--epsg", "4326"], "Did you mean --crs?"),
+    (["auto-georeference", "x.tif", "--dem", "y.tif", "-o", "z.jpg"],
+     "z.jpg: a map is written as GeoTIFF, not as .jpg. Name it z.tif"),
     (["run", "x.csv", "--report", "page.pdf"], "--report takes no name: it writes report.html"),
     (["plot", "residuals", "result", "-o", "x.svg"], "DIR comes before KIND: termsel plot result"),
     (["stability", "x.csv"], "A file of points is given by --points FILE."),

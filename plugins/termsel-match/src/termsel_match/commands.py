@@ -297,8 +297,10 @@ def auto_georeference(context: click.Context, /, image: Path, output: Path, fold
       termsel auto-georeference scene.tif --points candidates.csv --reference ortho.tif \\
           --dem dem.tif -o map.tif --out result
     """
+    from termsel.toolkit.models import require_tiff_name
     from termsel_match.chain import georeference
 
+    require_tiff_name(output)
     refuse_output(output, options["overwrite"], image, dem, *options.values())
     # Required only here: other commands share the option.
     if dem is None:
