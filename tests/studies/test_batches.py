@@ -7,6 +7,7 @@ import csv
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -168,3 +169,22 @@ def test_the_time_of_a_batch_is_that_of_images_of_all_sizes(
     assert number == len(sizes)
     assert len(set(timed)) <= 3
     assert number * seconds == pytest.approx(sum(sizes), rel=0.2)
+
+
+@pytest.mark.parametrize(("wait", "is_said"), [(4.0, True), (1.1, False)])
+def test_a_busy_machine_is_said_with_the_time(
+        wait: float, is_said: bool, monkeypatch: pytest.MonkeyPatch,
+        capsys: pytest.CaptureFixture[str]) -> None:
+    from termsel.cli import compare
+
+    clock = iter([0.0, 8.0 * wait])
+    cpu = iter([0.0, 8.0])
+    monkeypatch.setattr(compare, "time", SimpleNamespace(
+        perf_counter=lambda: next(clock), process_time=lambda: next(cpu)))
+    monkeypatch.setattr("termsel.studies.compare.estimate", lambda *_, **__: iter(
+        [(("rfm-terms", "auto", "", "press", "auto"), 10, 4.0, "")]))
+    monkeypatch.setattr(compare, "_list_files", lambda *_: None)
+    compare._show_plan(None, {}, 1)
+    shown = capsys.readouterr().out
+    assert "10 runs; about 40 s with 1 worker." in shown
+    assert ("with a machine as busy as now; about 10 s on an idle one" in shown) == is_said

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -242,6 +243,11 @@ def _show_status(folder: Path) -> None:
     echo(f"At work: {holder}." if holder else "Nobody is at work on it.")
 
 
+_BUSY = 1.5
+"""Time by the clock by that of the processor from which on a machine is busy with other work."""
+_LONG = 5.0
+"""Seconds of a study that are worth a word on that."""
+
 MOST_LISTED = 100
 """Files that a dry run lists."""
 
@@ -280,6 +286,8 @@ def _show_plan(study: Path | None, keys: dict[str, Any], workers: int) -> None:
     cells = 0
     rows = []
     ended_early = False
+    clock = time.perf_counter()
+    cpu = time.process_time()
     for kind, number, seconds, reason in estimate(study, **keys):
         ended_early |= reason.startswith("out of time")
         rows.append((*kind, str(number), "-" if seconds is None else f"{seconds:.2f}", reason))
@@ -290,6 +298,11 @@ def _show_plan(study: Path | None, keys: dict[str, Any], workers: int) -> None:
     about = "more than" if ended_early else "about"
     echo(f"\n{counted(cells, 'run')}; {about} {duration(total / workers)} with "
          f"{counted(workers, 'worker')}.")
+    # Runs wait while other programs have the processor; those tried have waited likewise.
+    wait = (time.perf_counter() - clock) / max(time.process_time() - cpu, 1e-6)
+    if wait > _BUSY and total / workers > _LONG:
+        echo(f"That is with a machine as busy as now; about {duration(total / workers / wait)} on "
+             "an idle one.")
     if workers == 1 and total > 60:
         echo("--workers N runs N of them at a time.")
 

@@ -144,6 +144,15 @@ def record_of(result: BlockResult) -> BlockRecord:
             space.east, space.north, space.up, space.n))
 
 
+def _advice_on_photos(result: BlockResult) -> str:
+    """Return the way out for photos that were taken for images of an unknown scanner, or ""."""
+    unknown = [image for image in result.block.images if image.rpc is None
+               and image.model == "auto"]
+    return "" if len(unknown) < 2 else (
+        ' If these are photos, state model = "frame" for each: polynomials are for images from '
+        "space.")
+
+
 def doubts(result: BlockResult) -> list[str]:
     """Return what is unlikely of good data, as sentences with advice; [] if nothing is."""
     adjusted = result.adjusted
@@ -152,7 +161,7 @@ def doubts(result: BlockResult) -> list[str]:
     if adjusted.state.sigma_ties > _COARSE:
         notes.append(f"Ties agree to {adjusted.state.sigma_ties:.1f} px only, which is coarse for "
                     "measurements: check RPCs and ties, and that line and sample are not "
-                    "exchanged.")
+                    "exchanged." + _advice_on_photos(result))
     if not adjusted.converged:
         worst = [result.block.images[i].name for i in np.argsort(-adjusted.moved)[:_NAMED_IMAGES]
                  if adjusted.moved[i] > _MOVING]
