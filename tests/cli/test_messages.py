@@ -180,6 +180,7 @@ def test_a_file_in_place_of_a_folder_is_called_a_file(words: list[str], example_
 
 @pytest.mark.parametrize(("name", "text", "message"), [
     ("study.toml", "x = 1", "A study: termsel compare FILE --out DIR."),
+    ("empty.csv", "", "the file is empty"),
     ("bad.json", '{"a": 1', "this is not JSON: the file breaks off here"),
     ("swapped.csv", "id,line,sample,x,y,z\nA,1,2,3\n",
      "line 2: the row ends after 4 of 6 cells, before y, z.")])
@@ -187,6 +188,14 @@ def test_a_file_that_is_no_table_leads_further(name: str, text: str, message: st
                                                tmp_path: Path) -> None:
     (tmp_path / name).write_text(text)
     assert message in refused("run", str(tmp_path / name), "--crs", "EPSG:4979")
+
+
+@pytest.mark.parametrize("command", ["compare", "block"])
+def test_points_in_place_of_a_study_or_block_are_recognised(command: str, tmp_path: Path,
+                                                            example_files: Path) -> None:
+    message = refused(command, str(example_files / "gcps.csv"), "--out", str(tmp_path / "out"))
+    assert "which is TOML" in message
+    assert "Tables of points are given by --points FILE" in message
 
 
 def test_a_folder_that_termsel_wrote_leads_to_its_command(tmp_path: Path) -> None:
@@ -348,3 +357,11 @@ def test_what_is_wrong_with_a_file_comes_with_a_remedy() -> None:
                 if "file" in names and "hint" not in names:
                     without.append(f"{path.relative_to(ROOT)}:{node.lineno}")
     assert not without
+
+
+def test_every_command_that_writes_a_file_replaces_none_unless_asked() -> None:
+    # A study goes on in its folder, and replaces its own tables alone.
+    without = [name for name, command in commands()
+               if {"output", "out"} & {param.name for param in command.params}
+               and "overwrite" not in {param.name for param in command.params}]
+    assert without == ["compare"]

@@ -56,6 +56,10 @@ def read_toml(file: Path, kind: str, hint: str) -> tuple[dict[str, Any], str]:
     try:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
+        if file.suffix.lower() != ".toml":
+            raise TermselError(f"this is not {kind}, which is TOML", file=file,
+                               hint=f"{hint} Tables of points are given by --points FILE, to "
+                                    "termsel run or termsel compare.") from error
         # tomllib gives the position in the text of its message alone.
         reason, _, position = str(error).rpartition(" (at ")
         numbers = list(map(int, re.findall(r"\d+", position)))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from termsel import FeatureSet, TermselError, read
+from termsel import FeatureSet, TermselError, read, require_replaceable
 from termsel.toolkit import counted, echo, print_table, say_written, write_text
 from termsel.toolkit.coordinates import LOCAL
 from termsel.toolkit.files import require_inside
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from termsel_cameras.sheets.series_file import Series
 
 _PATH = click.Path(path_type=Path)
+
+_OVERWRITE = click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 
 
 @click.command("map-series")
@@ -30,8 +32,10 @@ _PATH = click.Path(path_type=Path)
 @click.option("--century", type=click.IntRange(15, 21), help="Century of the maps.")
 @click.option("--output", "-o", type=_PATH, metavar="FILE.json",
               help="File of the series to write; the option series takes it.")
+@_OVERWRITE
 def map_series(sheets: tuple[Path, ...], crs: str | None, prime_meridian: str | None,
-               candidates: Path | None, century: int | None, output: Path | None) -> None:
+               candidates: Path | None, century: int | None, output: Path | None,
+               overwrite: bool) -> None:
     """Find what all sheets of a series share: their projection, and what their paper is like.
 
     SHEETS are files of points, a sheet each. The projection that predicts the points of all of them
@@ -47,6 +51,9 @@ def map_series(sheets: tuple[Path, ...], crs: str | None, prime_meridian: str | 
     from termsel_cameras.sheets.meridians import meridian_of
     from termsel_cameras.sheets.series_file import series_of
 
+    # Before the sheets are read, as nobody should learn it after the work.
+    if output is not None:
+        require_replaceable([output], reads=[*sheets, candidates], overwrite=overwrite)
     meridian = {}
     if prime_meridian is not None:
         meridian_of(prime_meridian)  # refused before any sheet is
@@ -88,7 +95,8 @@ def _chosen_projection(sheets: list[FeatureSet], candidates: Path | None,
     # Projections of the same figure are listed up to a few of them.
     listed: list[tuple[str, str, str]] = []
     for figure, group in groupby(rows, key=lambda row: row[1]):
-        alike = list(group)
+        # The chosen one first: it must be among those that are listed.
+        alike = sorted(group, key=lambda row: row[0] != best.name)
         listed += alike[:_MOST_ALIKE]
         if len(alike) > _MOST_ALIKE:
             listed.append((f"{len(alike) - _MOST_ALIKE} more", figure, ""))
@@ -110,8 +118,8 @@ def _say_paper(series: Series) -> None:
         return
     paper = paper_of(series.sheets)
     scale, turn, stretch, shear = paper.spreads
-    echo(f"Paper by {len(series.sheets)} sheets: {math.exp(paper.means[0]):.5g} px per unit of "
-         f"ground (standard deviation {100 * scale:,.2f} %), turn "
+    echo(f"Paper by {counted(len(series.sheets), 'sheet')}: {math.exp(paper.means[0]):.5g} px per "
+         f"unit of ground (standard deviation {100 * scale:,.2f} %), turn "
          f"{math.degrees(paper.means[1]):.3g} deg ({math.degrees(turn):.2g}), stretch "
          f"{100 * paper.means[2]:.2g} % ({100 * stretch:.2g}), shear {100 * paper.means[3]:.2g} % "
          f"({100 * shear:.2g}); an affine map leaves {paper.noise:.3g} px.")
@@ -137,8 +145,9 @@ def _read_photo(photo: Path, crs: str | None, size: tuple[int, int]) -> FeatureS
               help="Rough focal length, where it is known.")
 @click.option("--output", "-o", type=_PATH, required=True, metavar="FILE.json",
               help="Camera file to write; the option camera takes it.")
+@_OVERWRITE
 def flight_camera(photos: tuple[Path, ...], crs: str | None, size: tuple[int, int],
-                  focal: float | None, output: Path) -> None:
+                  focal: float | None, output: Path, overwrite: bool) -> None:
     """Find the camera that all photos of one flight share, from their control points.
 
     PHOTOS are files of points with heights, a photo each. Focal length and radial distortion are
@@ -153,6 +162,7 @@ def flight_camera(photos: tuple[Path, ...], crs: str | None, size: tuple[int, in
 
     from termsel_cameras.known.sharing import shared_camera
 
+    require_replaceable([output], reads=photos, overwrite=overwrite)
     read_photos = [_read_photo(photo, crs, size) for photo in photos]
     camera = shared_camera(read_photos, size, focal)
     content = {"focal": round(camera.focal, 3), "focal_spread": round(camera.spread, 6),

@@ -203,6 +203,9 @@ def read_errors(path: Path | str) -> GroundErrors:
     except csv.Error as error:
         raise TermselError(f"this table cannot be read: {error}", file=path,
                            hint="Save it again as CSV.") from None
+    if not path.stat().st_size:
+        raise TermselError("the file is empty", file=path,
+                           hint="Give a table headed id,dx,dy, or the folder of a run.")
     if not rows or not {"dx", "dy"} <= set(rows[0]):
         if rows and any(";" in name or "\t" in name for name in rows[0] if name):
             raise TermselError("the columns of this table are not separated by commas", file=path,

@@ -173,12 +173,16 @@ def refused_format(path: object, head: bytes, of: object = None) -> TermselError
     if name:
         reason = f"this is a raster of the format {name}, which termsel does not open"
         hint = f"{hint} {DRIVER_HINT.format(name=name)}"
+    elif not head:
+        reason = "the file is empty, expected a raster"
+        hint = "Copy or download it again."
     elif _is_text(head):
         reason = "this is a file of text, not a raster"
         hint = "Give a raster, such as a GeoTIFF. Tables of points and RPCs are for termsel run: " \
                "--points FILE, --rpc FILE."
     else:
         reason = "this is no raster of a format that termsel opens"
+        hint = f"If a GIS shows it, convert it: {hint[len('Convert it: '):]}"
     if of is not None and str(of) != str(path):
         return TermselError(f"it refers to {cut(str(path), 100)!r}: {reason}", file=of, hint=hint)
     return TermselError(reason, file=path, hint=hint)
