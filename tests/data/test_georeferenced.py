@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from termsel.data.features import FeatureSet, Points
-from termsel.data.georeferenced import warn_of_map
+from termsel.data.georeferenced import warn_of_incomplete, warn_of_map
 from termsel.simulate.example import SENSOR, SIZE, corners
 
 rasterio = pytest.importorskip("rasterio")
@@ -61,3 +61,18 @@ def test_an_image_without_georeferencing_says_nothing(
     features = measured(SENSOR.project(GROUND))
     warn_of_map(replace(features, image_size=SIZE), path)
     assert not caplog.messages
+
+
+def test_an_image_that_broke_off_is_warned_of(tmp_path: Path,
+                                              caplog: pytest.LogCaptureFixture) -> None:
+    whole = tmp_path / "whole.tif"
+    noise = np.random.default_rng(1).integers(0, 255, (1, 64, 64), dtype=np.uint8)
+    with rasterio.open(whole, "w", driver="GTiff", width=64, height=64, count=1, dtype="uint8",
+                       blockysize=8) as raster:
+        raster.write(noise)
+    broken = tmp_path / "broken.tif"
+    broken.write_bytes(whole.read_bytes()[:-1500])
+    warn_of_incomplete(whole)
+    assert not caplog.messages
+    warn_of_incomplete(broken)
+    assert "broken.tif is incomplete or damaged: its size is used" in caplog.text

@@ -19,6 +19,29 @@ _FAR = 0.02
 """Share of the diagonal of an image: rough georeferencing of an image as delivered is nearer."""
 
 
+_LARGEST_BLOCK = 1e7
+"""Pixels of a block that is read to see whether it can be."""
+
+
+def warn_of_incomplete(image: Path | str) -> None:
+    """Warn of an image whose last pixel cannot be read, as of a download that broke off.
+
+    Its size is known all the same, so that nothing else would show before a map is made.
+    """
+    from rasterio.errors import RasterioError
+
+    with open_raster(image) as raster:
+        # A pixel costs its block, which a small file may claim to be of any size.
+        if not raster.count or np.prod(raster.block_shapes[0], dtype=float) > _LARGEST_BLOCK:
+            return
+        last = (raster.height - 1, raster.height), (raster.width - 1, raster.width)
+        try:
+            raster.read(1, window=last)
+        except RasterioError:
+            log.warning("Warning: %s is incomplete or damaged: its size is used, but its pixels "
+                        "cannot be read. Copy or download it again before a map is made.", image)
+
+
 def warn_of_map(features: FeatureSet, image: Path | str) -> None:
     """Warn of an image whose own georeferencing shows features far from where they were measured.
 

@@ -25,7 +25,7 @@ from termsel.data.coordinates.crs import LOCAL, WGS84, normalise, short
 from termsel.data.coordinates.earth import say_turned, unknown_crs
 from termsel.data.coordinates.plausible import check_ground, note_on_mixed
 from termsel.data.features import FeatureSet, no_lines, no_points
-from termsel.data.georeferenced import warn_of_map
+from termsel.data.georeferenced import warn_of_incomplete, warn_of_map
 from termsel.data.rpc import Rpc
 from termsel.data.tables.columns import LINES, OPTIONAL, POINTS, columns_text
 from termsel.formats.base import (
@@ -293,6 +293,7 @@ def _with_image_size(features: FeatureSet, image: Path | str | None, size: tuple
     if image is None or size is None:
         return features
     require_inside(features, size, image)
+    warn_of_incomplete(image)
     warn_of_map(features, image)
     return features if features.image_size else replace(features, image_size=size)
 
