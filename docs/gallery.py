@@ -27,7 +27,7 @@ from statistics import median
 from typing import Any
 
 from click.testing import CliRunner
-from snippets import Step, renewed, steps
+from snippets import COMPILING, Step, renewed, steps
 
 import termsel
 from termsel.cli.main import cli
@@ -148,7 +148,7 @@ def _run(step: Step, folder: Path) -> str:
         result = CliRunner(env={"COLUMNS": "100", **os.environ}).invoke(cli, words)
         if result.exception is not None and not isinstance(result.exception, SystemExit):
             raise result.exception
-        return result.output
+        return COMPILING.sub("", result.output)
 
 
 if __name__ == "__main__":

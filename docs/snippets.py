@@ -42,7 +42,7 @@ _ALONE = re.compile(r"termsel [^|;&$<>`*]*")
 PROGRAMS = "termsel", "python", "head", "ls", "cat", "sort", "sed", "for"
 OTHERS = "gdalwarp",
 """Programs that a page may use, and those that need not be installed."""
-_COMPILING = re.compile(r"^Compiling: .*\n", re.MULTILINE)
+COMPILING = re.compile(r"^Compiling: .*\n", re.MULTILINE)
 _CHECKSUM = re.compile(r"\b[0-9a-f]{64}\b")
 _NUMBER = re.compile(r"-?\d+(\.\d+)?(e[+-]?\d+)?")
 
@@ -130,7 +130,7 @@ class Session:
             raise RuntimeError(f"{step.code}\nends with {status}:\n{printed}")
         if change:
             self.folder = self.folder / change[2]
-        return _COMPILING.sub("", printed)
+        return COMPILING.sub("", printed)
 
     def _done(self, code: str, is_python: bool) -> tuple[str, int]:
         program = "python" if is_python else code.split()[0]
