@@ -11,7 +11,7 @@ from __future__ import annotations
 import argparse
 import time
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -23,7 +23,8 @@ import termsel
 from benchmarks.new_points import correlation_interval, rmse_interval, scene
 from benchmarks.sets import ROOT, put
 from termsel.data.features import FloatArray, no_lines
-from termsel.fitting.residuals import Rmse
+from termsel.data.record.figures import RmseByRole
+from termsel.data.record.search import Certificate
 from termsel.results.theme import (
     BLUNDER,
     CONTROL,
@@ -93,7 +94,7 @@ def proven(folder: Path, criterion: str) -> termsel.Result:
     return termsel.run("rfm-terms", solver="exact", criterion=criterion, out=folder)
 
 
-def certified(proof: termsel.Result) -> Mapping[str, Any]:
+def certified(proof: termsel.Result) -> Certificate:
     """Return the certificate of an optimum."""
     if proof.certificate is None or not proof.certificate.optimal:
         raise SystemExit("exact has not proven the optimum")
@@ -111,14 +112,14 @@ def page(proof: termsel.Result, residuals: termsel.Result,
     near = [one for one in everything if one["fitness"] < NEAR * check]
     fitness, terms, independent = (np.array([one[key] for one in near])
                                    for key in ("fitness", "n_terms", "independent"))
-    share = certificate["bounded"] / certificate["subsets"]
+    share = certificate.bounded / certificate.subsets
     line, sample = (sum(name.startswith(axis) for name in proof.selection.terms)
                     for axis in ("line", "sample"))
     yield HEAD.format(
         minutes=proof.seconds / 60, check=check,
         independent=of_three(optimum), terms=line + sample, line=line,
         sample=sample, quadratic=of_three(plain), worth=100 * (optimum[0] / quadratic - 1),
-        subsets=certificate["subsets"], share=100 * share,
+        subsets=certificate.subsets, share=100 * share,
         runs=len(everything), near=len(near),
         reached=sum(one["fitness"] <= reachable(check) for one in everything),
         typical=100 * (np.median([one["fitness"] for one in everything]) / check - 1),
@@ -147,7 +148,7 @@ def page(proof: termsel.Result, residuals: termsel.Result,
     yield END
 
 
-def total(rmse: Mapping[str, Rmse | None], role: str) -> float:
+def total(rmse: RmseByRole, role: str) -> float:
     """Return the RMSE of the points of a role [px]."""
     found = rmse[role]
     if found is None:
