@@ -186,23 +186,23 @@ chosen for the page, and none was tuned on its scenes:
   choices. Weighted choices, which it has too, took 0.1 s a candidate.
 - `optuna` is its default sampler, TPE.
 
-To nevergrad and optuna an infeasible selection costs a million and more, and one that
-the genome repairs, as one with too many terms, is told as it was evaluated: without that, nevergrad
-and optuna did worse. These two need a hundredth of a second for each evaluation or more, optuna
-ever more. So both are made anew with the same draws and the sums compiled:
-`python -m benchmarks.compiled_rivals optuna` finds the same trials as those of optuna 5.0.0, and
-with `nevergrad` those of nevergrad 1.0.12.
+To nevergrad and optuna an infeasible selection costs a million and more. One that the genome
+repairs, as one with too many terms, is told as it was evaluated: without that, both did worse. They
+need a hundredth of a second for each evaluation or more, optuna ever more. So both are made anew,
+with the same draws and the sums compiled: `python -m benchmarks.compiled_rivals optuna` finds the
+same trials as those of optuna 5.0.0, and with `nevergrad` those of nevergrad 1.0.12. Where a method
+has fewer than ten seeds, its runs had not ended when the page was made.
 
-A ratio is that of the median
-over seeds to the least objective that any method found on the scene at any budget; the table has
-the median and the largest of the scenes. The populations of `ga` were chosen on twelve other
-scenes, two of each kind, where 60 chromosomes did better at 4,000 evaluations than 100 and 200, and
-a start with half of the genes on better than one with random shares. Who survives was chosen on
-twelve further ones. At 16,000 evaluations the best of parents and children, no copies among them
-and tournaments of 2, had a median ratio of 1.035, children and two elites 1.069, pymoo 1.060. At
-500 and 4,000 they hardly differed, 1.44 to 1.50 and 1.138 to 1.144, and children survive there.
-That children survive there was settled after a look at the scenes of this page, where the best of
-both had 1.54 and 1.12: in this one choice the scenes took part.
+A ratio is that of the median over seeds to the least objective that any method found on the scene
+at any budget; the table has the median and the largest of the scenes. The populations of `ga` were
+chosen on twelve other scenes, two of each kind, where 60 chromosomes did better at 4,000
+evaluations than 100 and 200, and a start with half of the genes on better than one with random
+shares. Who survives was chosen on twelve further ones. At 16,000 evaluations the best of parents
+and children, no copies among them and tournaments of 2, had a median ratio of 1.035, children and
+two elites 1.069, pymoo 1.060. At 500 and 4,000 they hardly differed, 1.44 to 1.50 and 1.138 to
+1.144, and children survive there. That children survive there was settled after a look at the
+scenes of this page, where the best of both had 1.54 and 1.12: in this one choice the scenes took
+part.
 
 A lower objective is no better model: see [A lower check RMSE](overfitting.md).
 """

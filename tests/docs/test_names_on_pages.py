@@ -32,8 +32,8 @@ MADE = {"dlt-demo", "line-demo", "demo"}
 """What pages make themselves."""
 SCRIPTS = {"--cases", "--first", "--names", "--runs", "--seconds"}
 """Options of benchmarks, of the walks and of the fuzz suite."""
-OTHERS = {"case-2", "case-3", "date-released", "deap-script", "gdal-polynomial", "nevergrad-fast",
-          "optuna-nsga2", "owdis-block", "pymoo-script", "scikit-learn", "start-1", "start-4",
+OTHERS = {"case-2", "case-3", "date-released", "deap-script", "gdal-polynomial", "owdis-block",
+          "pymoo-script", "scikit-learn", "start-1", "start-4",
           "vendor-rpc"}
 """What has the form of a name and is none: clauses, keys of other files, ids, and what benchmark
 and blocks call by name."""
