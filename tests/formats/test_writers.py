@@ -99,6 +99,18 @@ def test_conformance_on_fitted_scenes(writer: termsel.Writer, geographic: Result
 # RPCs
 
 
+def test_an_rpc_by_heights_of_no_stated_datum_is_said(
+        geographic: Result, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    Rpb().write(geographic, tmp_path / "stated.RPB")
+    assert "Warning" not in caplog.text
+    undeclared = replace(geographic.features,
+                         heights="9 of 9 heights from dem.tif, bilinear; vertical datum: "
+                                 "not declared by the raster")
+    Rpb().write(geographic.with_(features=undeclared), tmp_path / "scene.RPB")
+    assert "An RPC takes ellipsoidal heights: if these are above a geoid" in caplog.text
+    assert " px for each 10 m between the two" in caplog.text
+
+
 @pytest.mark.parametrize("crs", ["EPSG:4979", "EPSG:32640"])
 def test_rpcs_of_fits_in_any_crs(crs: str) -> None:
     result = _mashad(crs)

@@ -229,6 +229,16 @@ def test_a_vendor_rpc_is_shown_with_its_shift() -> None:
                                "in line, sample)") for line in first_screen(**changed))
 
 
+def test_a_local_correction_of_an_rpc_has_no_shift_of_zero() -> None:
+    rpc = {**{f"{kind}_{part}": [1.0] * n for kind, n in (("image", 2), ("ground", 3))
+              for part in ("offset", "scale")},
+           **{f"{axis}_{part}": [1.0] * 20 for axis in ("line", "sample")
+              for part in ("numerator", "denominator")}}
+    screen = first_screen(strategy=choice("rpc-field", "affine"), data=data(rpc=rpc),
+                          coefficients={"line.bias:1": 0.0, "sample.bias:1": 0.0})
+    assert not any("shift at the control" in line for line in screen)
+
+
 @pytest.mark.parametrize(("steps", "solvers"), [("features-first", "ga and pso"), ("joint", "ga")])
 def test_the_solver_of_a_second_step_is_told(steps: str, solvers: str) -> None:
     options = {**record()["options"], "problem": {"steps": steps, "then": "pso"}}

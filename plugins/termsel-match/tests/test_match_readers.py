@@ -16,7 +16,7 @@ pytest.importorskip("termsel_match", reason="termsel-match is not installed: "
 from termsel import FeatureSet, Points, TermselError, read
 from termsel.testing import check, checks
 from termsel_match.asp import AspMatches
-from termsel_match.images.starts import start_by_points
+from termsel_match.images.starts import Start, start_by_points
 from termsel_match.points.readers import ArosicsTable, MatchesCsv
 
 # As GeoPandas saves the table: with an index, the geometry as text, and all columns.
@@ -128,6 +128,25 @@ def test_what_is_wrong_is_said_with_its_place(file: Any, text: str, format: str 
     with pytest.raises(TermselError) as caught:
         read(file(text), crs="EPSG:32633", format=format or ())
     assert reason in str(caught.value)
+
+
+@pytest.mark.parametrize(("height", "said"), [
+    (1740.0, "1,132 m above the heights that the RPC of image.tif is made for (median 1,740 m, "
+             "432 to 608 m); feet and metres?"),
+    (290.0, "142 m below the heights that the RPC of image.tif is made for (median 290 m, "
+            "432 to 608 m); geoid and ellipsoid?"), (580.0, ""), (400.0, "")])
+def test_a_dem_is_held_against_the_heights_of_an_rpc(
+        tmp_path: Path, height: float, said: str, caplog: pytest.LogCaptureFixture) -> None:
+    with rasterio.open(tmp_path / "dem.tif", "w", driver="GTiff", width=5, height=5, count=1,
+                       dtype="float64", crs="EPSG:4326",
+                       transform=rasterio.transform.from_origin(9.0, 45.1, 0.02, 0.02)) as raster:
+        raster.write(np.full((5, 5), height), 1)
+    start = Start("the RPC of image.tif", "EPSG:4979", 520.0, lambda ground: ground[:, :2],
+                  lambda image, _: image, heights=(432.0, 608.0),
+                  places=np.array([[9.03, 45.03], [9.05, 45.05], [20.0, 45.0]]))
+    start.say_dem(tmp_path / "dem.tif")
+    assert said in caplog.text
+    assert bool(said) == bool(caplog.text)
 
 
 @pytest.mark.parametrize(("above", "said"), [(-48.6, "below the control"), (0.3, "")])

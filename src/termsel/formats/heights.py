@@ -336,10 +336,10 @@ def difference_of(features: FeatureSet, surface: Dem) -> DemDifference | None:
 
 def pixels_of(difference: DemDifference, features: FeatureSet, project: Projection) -> float:
     """Return by how much places of control move in the image where all heights change so [px]."""
-    return _pixels_by(difference.above / height_unit(features.crs), features, project)
+    return pixels_by(difference.above / height_unit(features.crs), features, project)
 
 
-def _pixels_by(above: float, features: FeatureSet, project: Projection) -> float:
+def pixels_by(above: float, features: FeatureSet, project: Projection) -> float:
     """Return by how much places of control move in the image where heights are `above` [px]."""
     ground = features.ground_vertices()
     ground = ground[np.isfinite(ground).all(axis=1)]
@@ -372,7 +372,7 @@ def _say_far_height(features: FeatureSet, project: Projection, height: float) ->
     if beyond <= highest - lowest:
         return
     above = height - (highest if height > highest else lowest)
-    pixels = _pixels_by(above, features, project)
+    pixels = pixels_by(above, features, project)
     # A model of the plane does not see heights.
     if pixels >= FAR_HEIGHT_PIXELS:
         side = "above" if above > 0 else "below"
@@ -406,7 +406,8 @@ def with_heights(features: FeatureSet, dem: Path) -> FeatureSet:
     if unknown.any():
         log.info("Heights: %s.", statement)
     return replace(
-        features, heights=statement, dem_difference=difference,
+        features, heights=statement if unknown.any() else features.heights,
+        dem_difference=difference,
         points=replace(features.points, ground=ground[:n]),
         lines=replace(features.lines, ground=ground[n:].reshape(-1, 2, 3)))
 

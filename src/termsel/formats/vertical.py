@@ -34,6 +34,9 @@ if TYPE_CHECKING:
 Heights = Callable[[FloatArray], FloatArray]
 """Heights [m], shape (n,), of places (n, 3) whose heights are in metres of a raster."""
 
+UNDECLARED = "not declared by the raster"
+"""What is said of heights whose vertical datum nobody states."""
+
 _OF_HEIGHTS = re.compile(r"vert|alt|geoid|height|elev|(?:^|[\W_])z(?:$|[\W_])", re.IGNORECASE)
 """Names of tags that may say what heights refer to."""
 _OF_DATUM = re.compile(r"datum|crs|srs|ref|geoid|system", re.IGNORECASE)
@@ -260,5 +263,5 @@ def said(raster_crs: CRS, converted: bool, crs: str) -> str:
     """Return the vertical datum of a raster in words, and the one it was converted to."""
     datum = vertical_datum(raster_crs)
     if not datum:
-        return "not declared by the raster"
+        return UNDECLARED
     return f"{datum}, converted to that of {short(crs)}" if converted else datum

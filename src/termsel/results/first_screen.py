@@ -192,6 +192,8 @@ def _shift_of(record: Record) -> str:
     coefficients = record.coefficients
     if record.data.rpc is None or not {"line.bias:1", "sample.bias:1"} <= coefficients.keys():
         return ""
+    if not any(coefficients.values()):  # a correction that is a local field, and no constant
+        return ""
     line = coefficients["line.bias:1"] * record.scaling.line_scale
     sample = coefficients["sample.bias:1"] * record.scaling.sample_scale
     return f"shift at the control ({line:+.2f}, {sample:+.2f} px in line, sample)"

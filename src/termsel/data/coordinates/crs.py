@@ -40,6 +40,8 @@ Transformation = Callable[[FloatArray], FloatArray]
 """From ground coordinates to others, shapes (n, 3)."""
 
 _WRONG_CRS = "Check the ground coordinates and the CRS that is stated for them."
+_NO_TRANSFORMATION = ("State another CRS, or transform the coordinates with another program; "
+                      "heights to ellipsoidal ones, as in EPSG:4979.")
 _GRIDS = 3  # that an error names
 _OF_EARTH = 0.01  # share by which ellipsoids of the Earth differ at most
 _QUOTED_NAME = re.compile(r'\w+\s*\[\s*"([^"]{1,80})"')
@@ -338,7 +340,8 @@ def transformation(source: str, target: str, *, strict: bool = True,
     except ProjError as error:
         grids = _missing_grids(*ends)
         if not grids:
-            raise TermselError(f"{failure}: {error}", hint=_WRONG_CRS) from error
+            raise TermselError(f"{failure}: PROJ knows no transformation between the two",
+                               hint=_NO_TRANSFORMATION) from error
         further_grids = f" or one of {len(grids) - _GRIDS} others" if len(grids) > _GRIDS else ""
         raise TermselError(
             f"{failure}: PROJ does not have the grid {' or '.join(grids[:_GRIDS])}{further_grids}",

@@ -21,12 +21,15 @@ from termsel.core.files.names import is_there
 from termsel.core.files.reasons import reason_of
 from termsel.core.options import Option
 from termsel.data.coordinates.crs import LOCAL, normalise, to_wgs84
+from termsel.data.coordinates.metres import height_unit
 from termsel.data.rasters import empty_tiff, open_raster, require_rasterio
 from termsel.data.rpc import Rpc
 from termsel.formats.base import Writer
 from termsel.formats.deviation import places_of, say_deviation
+from termsel.formats.heights import pixels_by
 from termsel.formats.rpc_control import control_items
 from termsel.formats.rpc_files import read_rpc, rpb_text, rpc_items, rpc_txt_text
+from termsel.formats.vertical import UNDECLARED
 from termsel.formats.vrt import IMAGE, picture_for, vrt_text
 from termsel.results.result import Result
 
@@ -34,6 +37,9 @@ log = logging.getLogger(__name__)
 
 AGREED = 1e-6
 """Largest difference between GDAL's and termsel's use of a written RPC [px]."""
+
+STEP_OF_HEIGHT = 10.0
+"""Difference of heights whose effect is said where their datum is not known [m]."""
 
 _FOR_OTB = {"METADATATYPE": "GE"}
 """What GDAL says of an image with a _RPC.TXT; OTB looks for an RPC where it is said."""
@@ -73,6 +79,7 @@ class RpcWriter(Writer):
         sampled = places_of(result.fit, heights)
         with np.errstate(all="ignore"):
             image = rpc.project(to_wgs84(result.fit.control.crs)(sampled))
+        _say_unknown_datum(result)
         say_deviation(self.name, result.fit, sampled, image,
                       ", over the image and "
                       + ("the heights of the control" if heights is None else
@@ -124,6 +131,19 @@ class RpcWriter(Writer):
                             "priority, or this file is not named %s. --to rpc-vrt avoids "
                             "both.", image,
                             Path(image).with_name(stem + self.suffix))
+
+
+def _say_unknown_datum(result: Result) -> None:
+    """Warn where heights of the control are from a raster that does not state their datum."""
+    heights = result.features.heights
+    if not heights.endswith(UNDECLARED):
+        return
+    step = STEP_OF_HEIGHT / height_unit(result.features.crs)
+    pixels = pixels_by(step, result.features, result.project)
+    log.warning("Warning: %s. An RPC takes ellipsoidal heights: if these are above a geoid, the "
+                "RPC is wrong by %.2g px for each %.0f m between the two. State the datum in the "
+                "CRS of the raster, such as EPSG:4326+5773 for EGM96, and run again.",
+                heights, pixels, STEP_OF_HEIGHT)
 
 
 class Rpb(RpcWriter):

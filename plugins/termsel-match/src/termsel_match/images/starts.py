@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,12 +21,20 @@ from termsel import (
     read_rpc,
 )
 from termsel.toolkit import say_difference
+from termsel.toolkit.models import off_as_a_whole
 from termsel_match.images.rasters import FloatArray
 
 Heights = float | Callable[[FloatArray], FloatArray]
 
+log = logging.getLogger("termsel.match")
+
 # Points that determine an affine transformation.
 _MIN_POINTS = 3
+# Part of the range of an RPC's heights beyond which no ground is.
+_BEYOND_RPC = 0.5
+_FOOT = 0.3048
+# Places along each side of an RPC's area where a DEM is looked up.
+_PLACES_ALONG = 7
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +59,8 @@ class Start:
         Root mean square of its bias [m], where its vendor states it.
     control : FeatureSet, optional
         What it was made from, whose heights a DEM is held against.
+    places : ndarray, shape (n, 2), optional
+        Longitudes and latitudes that an RPC is made for.
     """
 
     description: str
@@ -60,14 +71,37 @@ class Start:
     heights: tuple[float, float] | None = None
     bias: float | None = None
     control: FeatureSet | None = None
+    places: FloatArray | None = None
 
     def say_dem(self, dem: Path | str | None) -> None:
-        """Warn where a DEM contradicts the heights of the control, if that has any."""
-        if dem is None or self.control is None:
+        """Warn where a DEM contradicts the heights of the control, or those of an RPC."""
+        if dem is None:
             return
-        if np.isfinite(self.control.ground_vertices()[:, 2]).any():
+        if self.places is not None:
+            self._say_dem_beyond_rpc(Path(dem), self.places)
+        elif self.control is not None \
+                and np.isfinite(self.control.ground_vertices()[:, 2]).any():
             with open_dem(Path(dem), self.crs) as surface:
                 say_difference(self.control, self.project, surface)
+
+    def _say_dem_beyond_rpc(self, dem: Path, places: FloatArray) -> None:
+        """Warn where a DEM lies far beyond the heights that an RPC is made for."""
+        assert self.heights is not None
+        with open_dem(dem, self.crs) as surface:
+            heights = surface(places)
+        heights = heights[np.isfinite(heights)]
+        if not len(heights):
+            return
+        low, high = self.heights
+        median = float(np.median(heights))
+        above = median - high if median > high else min(median - low, 0.0)
+        # Vendors state the range with a margin.
+        if abs(above) > _BEYOND_RPC * (high - low):
+            in_feet = low <= median * _FOOT <= high
+            log.warning("Warning: %s", off_as_a_whole(
+                above, f"the heights that {self.description} is made for",
+                f"median {median:,.0f} m, {low:,.0f} to {high:,.0f} m", dem=dem.name,
+                cause="feet and metres?" if in_feet else ""))
 
 
 def turned(plane: FloatArray, crs: str, to: str) -> FloatArray:
@@ -145,8 +179,12 @@ def _start_by_rpc(path: Path) -> Start:
     description = f"the RPC of {path.name}"
     if rpc.control_count:
         description += f", which termsel fitted to {rpc.control_count} control features"
+    offsets = np.array(rpc.ground_offset[:2])
+    steps = np.linspace(-1.0, 1.0, _PLACES_ALONG)
+    shares = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     return Start(description, "EPSG:4979", middle, rpc.project, rpc.locate,
-                 heights=(middle - half, middle + half), bias=rpc.error_bias)
+                 heights=(middle - half, middle + half), bias=rpc.error_bias,
+                 places=offsets + shares * np.array(rpc.ground_scale[:2]))
 
 
 def start_by_points(features: FeatureSet, description: str) -> Start:

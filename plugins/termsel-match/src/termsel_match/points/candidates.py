@@ -13,7 +13,7 @@ from time import monotonic
 
 import numpy as np
 
-from termsel import FeatureSet, Points, TermselError, get
+from termsel import FeatureSet, Points, TermselError, get, open_dem
 from termsel_match.images.masks import open_masked, tell_of_idle
 from termsel_match.images.overview import start_by_overview
 from termsel_match.images.positions import require_same_area
@@ -60,6 +60,8 @@ class Candidates:
         What was started from, in words.
     rough : Start, optional
         What was started from.
+    heights : str
+        Source and vertical datum of the heights, if a raster gave them.
     """
 
     points: Points
@@ -68,11 +70,13 @@ class Candidates:
     cells: dict[str, int]
     start: str
     rough: Start | None = None
+    heights: str = ""
 
     @property
     def features(self) -> FeatureSet:
         """The candidates as features of the image."""
-        return FeatureSet(self.points, crs=self.crs, image_size=self.image_size)
+        return FeatureSet(self.points, crs=self.crs, image_size=self.image_size,
+                          heights=self.heights)
 
 
 def match_points(
@@ -175,7 +179,15 @@ def match_points(
         log.info("Note: the heights are unknown. Give --dem FILE for RPCs and 3D models.")
     return Candidates(_calibrate_sigma(points, rough, crs), crs, size, dict(cells),
                       rough.description,
-                      rough)
+                      rough, "" if dem is None else _said_heights(Path(dem), crs))
+
+
+def _said_heights(dem: Path, crs: str) -> str:
+    """Return the source and the vertical datum of heights in words, and say them."""
+    with open_dem(dem, crs) as surface:
+        said = f"heights from {dem.name}, bilinear; vertical datum: {surface.datum}"
+    log.info("Heights: %s.", said.removeprefix("heights "))
+    return said
 
 
 def _points_of_files(picture: GreyRaster, files: list[Path],

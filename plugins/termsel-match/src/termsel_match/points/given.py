@@ -81,7 +81,8 @@ def read_candidates(path: Path | str, image: Path | str, reference: Path | str |
     with open_raster(Path(image)) as raster:
         size = int(raster.height), int(raster.width)
     return Candidates(_as_candidates(points), features.crs, size, {},
-                      "none" if rough is None else rough.description, rough)
+                      "none" if rough is None else rough.description, rough,
+                      features.heights)
 
 
 def _is_in_pixels(path: Path) -> bool:
