@@ -76,6 +76,19 @@ def test_an_image_is_mirrored_or_not_from_three_points_on(count: int) -> None:
                             " y exchanged there, or line and sample?): turned.csv.",)
 
 
+@pytest.mark.parametrize("count", [2, 4, 8])
+def test_half_of_a_batch_that_is_mirrored_is_named(count: int) -> None:
+    images = batch(count)
+    names = [f"{i}.csv" for i in range(count // 2)]
+    images |= {name: mirrored(images[name]) for name in names}
+    verb = "is a mirror image" if count == 2 else "are mirror images"
+    assert said(images) == (
+        f"{count // 2} of {count} images {verb} of the ground, the others are not (are x and y "
+        f"exchanged, or line and sample?): {', '.join(names)}.",)
+    doubts = batch_of({name: setting_of(one) for name, one in images.items()}).doubts
+    assert list(doubts) == names
+
+
 def test_two_points_or_points_on_a_line_do_not_tell_a_mirror_image() -> None:
     on_line = image(8.0, 47.0, 5)
     along = np.linspace(0, 1, 5)[:, None]

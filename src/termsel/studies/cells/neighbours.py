@@ -133,7 +133,8 @@ def _note_on_mirrored(settings: Mapping[str, Mapping[str, Any]]) -> list[tuple[s
                                                                                dict[str, str]]]:
     """Return a sentence on images that are mirrored where most are not, or the reverse.
 
-    With it comes the doubt about each of them; [] where no clear majority is one or the other.
+    With it comes the doubt about each of them. Where no clear majority is one or the other the
+    sentence is on those that are mirrored; [] where all are alike.
     """
     is_mirrored_image = {name: bool(setting["mirrored"]) for name, setting in settings.items()
                          if setting.get("mirrored") is not None}
@@ -141,8 +142,10 @@ def _note_on_mirrored(settings: Mapping[str, Mapping[str, Any]]) -> list[tuple[s
     usual = sum(is_mirrored_image.values()) * 2 > len(is_mirrored_image)
     odd = [name for name, mirrored in is_mirrored_image.items() if mirrored != usual]
     usual_count = len(is_mirrored_image) - len(odd)
-    if not odd or usual_count < 2 or usual_count < MAJORITY_SHARE * len(is_mirrored_image):
+    if not odd:
         return []
+    if usual_count < 2 or usual_count < MAJORITY_SHARE * len(is_mirrored_image):
+        return [_sentence_on_some_mirrored(is_mirrored_image)]
     verb = "is a mirror image" if len(odd) == 1 else "are mirror images"
     negated = verb.replace("is a", "is no").replace("are ", "are no ")
     statement = f"{counted(len(odd), 'image')} {negated if usual else verb} of the ground"
@@ -151,6 +154,18 @@ def _note_on_mirrored(settings: Mapping[str, Mapping[str, Any]]) -> list[tuple[s
              "the batch: are x and y exchanged, or line and sample?")
     return [(f"{statement}, unlike the other {usual_count} ({question})",
              dict.fromkeys(odd, doubt))]
+
+
+def _sentence_on_some_mirrored(is_mirrored_image: Mapping[str, bool]) -> tuple[str, dict[str, str]]:
+    """Return the sentence where about as many images are mirrored as are not, with the doubts."""
+    mirrored = [name for name, is_one in is_mirrored_image.items() if is_one]
+    total = len(is_mirrored_image)
+    verb = "is a mirror image" if len(mirrored) == 1 else "are mirror images"
+    question = "are x and y exchanged, or line and sample?"
+    doubt = (f"Mirror image of the ground, unlike {total - len(mirrored)} others of the batch: "
+             f"{question}")
+    return (f"{len(mirrored)} of {total} images {verb} of the ground, the others are not "
+            f"({question})", dict.fromkeys(mirrored, doubt))
 
 
 def _angles(first_positions: FloatArray, second_positions: FloatArray) -> FloatArray:
