@@ -229,7 +229,39 @@ def test_cells_of_many_points_are_few_and_are_not_kept() -> None:
     assert len(courses._centres) == MAX_CELLS
     before = set(vars(courses))
     assert np.isfinite(courses.squares(ground[:2], image[:2])).all()
-    assert set(vars(courses)) - before <= {"_apart"}
+    assert set(vars(courses)) == before
+
+
+def many_points(field: FloatArray, places: FloatArray) -> Points:
+    """Return points of a sheet whose shifts are a field (n, 2), with a noise of 1."""
+    rng = np.random.default_rng(15)
+    scale = 1e-3
+    image = places + scale * (field + rng.normal(0.0, 1.0, places.shape))
+    return Points(tuple(map(str, range(len(places)))), image,
+                  np.column_stack([places, np.zeros(len(places))]))
+
+
+def test_many_points_know_a_weak_bend_better_than_any_two_hundred_of_them() -> None:
+    places = np.random.default_rng(14).uniform(-1.0, 1.0, (2000, 2))
+    courses = local_courses(many_points(0.6 * np.sin(4.0 * places[:, ::-1] + 1.0), places), 2e-3)
+    assert courses is not None
+    near = 0.05 * places[:20] + 0.3
+    truth = near + 6e-4 * np.sin(4.0 * near[:, ::-1] + 1.0)
+    sigma = np.sqrt(courses.squares(np.column_stack([near, np.zeros(20)]), truth).mean())
+    assert np.sqrt(courses.noise) == pytest.approx(1e-3, rel=0.05)
+    assert sigma < 0.15e-3
+
+
+@pytest.mark.parametrize("smoothness", [0.5, 1.5])
+def test_groups_of_many_points_tell_a_rough_field_from_a_smooth_one(smoothness: float) -> None:
+    rng = np.random.default_rng(16)
+    places = rng.uniform(-1.0, 1.0, (600, 2))
+    root = np.linalg.cholesky(matern(places, places, (0.6, 0.6), smoothness) + 1e-9 * np.eye(600))
+    courses = local_courses(many_points(6.0 * root @ rng.standard_normal((600, 2)), places), 2e-3)
+    assert courses is not None
+    share = sum(solutions.shares[:, 0].sum() for solutions in courses.solutions
+                if solutions.smoothness == smoothness)
+    assert share > 0.9
 
 
 def test_a_course_of_two_trends_is_the_sum_of_theirs() -> None:

@@ -18,12 +18,16 @@ there (universal kriging)
 The mean square error of any model at the place is this variance and the square of the distance of
 the model from the mean, averaged over all courses.
 
-Of more than 200 points, 200 that are spread over them show how likely each course is. The mean and
-the variance at a place are then by 60 that are far apart, which hold the trend even where those
-near by lie in a row, and by the 140 others that are nearest to its cell, of some 100 points. There
-are at most 16 cells: of more than 1600 points they are larger, and only some of the points around
-them are taken. The errors that are stated are then those of a model that had no more points, too
-large rather than too small.
+More than 200 points are cut in halves again and again into 200 groups, each of which counts as one
+point, its mean. With m points and the mean correlation c of two of them, the mean of a group has
+
+    the noise s^2 / m and the variance of the field ratio^2 s^2 (1/m + (1 - 1/m) c),
+
+and the points of a group vary about it by s^2 (1 + ratio^2 (1 - c)). Means and scatter together say
+how likely each course is: 200 points alone do not tell a rough field from a smooth one that is
+hardly larger than their noise. For the mean and the variance at a place the groups are the smaller
+the nearer they are to its cell, and next to it points, unless there are very many. What separates
+the mean of the field in a group from the field in its middle, which it is taken for, is noise.
 
 References
 ----------
@@ -34,8 +38,9 @@ Zellner 1986 for the prior of a trend.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from heapq import heappop, heappush
 
 import numpy as np
 
@@ -64,12 +69,16 @@ SMOOTHNESSES = (0.5, 1.5, np.inf)
 derivatives."""
 
 UNEQUAL_LENGTHS = ((0.15, 2.0), (2.0, 0.15), (0.05, 2.0), (2.0, 0.05))
+UNEQUAL_SMOOTHNESSES = (0.5, 1.5)
 UNEQUAL_PROBABILITY = 0.1
-"""Lengths of what differs along lines and samples, of smoothness 3/2, and their probability among
-fields."""
+"""Lengths and smoothnesses of what differs along lines and samples, as where a scanner jumps or
+shakes, and their probability among fields."""
 
 RATIOS = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 12.8, 25.6)
 """Standard deviations of the field by that of the noise, all as likely beforehand."""
+
+FINE_RATIOS = tuple(np.geomspace(0.1, 25.6, 17).tolist())
+"""The same where many points show it to a few per cent."""
 
 FIELD_PROBABILITY = 0.8
 """Probability of a field: hardly a sheet is a plane to a tenth of its noise."""
@@ -83,14 +92,19 @@ CELL_POINTS = 100
 MAX_CELLS = 16
 """A power of two. Each takes 0.05 to 0.1 s."""
 
-APART_POINTS = 60
-"""Points of each cell's courses that lie far apart over all control."""
-
-REACH = 1.4
-"""Points from which those near a cell are taken, by the points of the cell."""
+KEPT_CELLS = 4
+"""Cells that are kept for further places, of all fits together; each has some 10 MB."""
 
 NOISE_BY_TREND = np.geomspace(0.01, 2.0, 26)
 """Noises that are tried, by the scatter about the trend."""
+
+FINE_NOISE_BY_TREND = np.geomspace(0.02, 1.3, 300)
+FINE_FREEDOM = 100
+"""The same where the scatter in groups has so many degrees of freedom, or more, and shows it to a
+few per cent."""
+
+MEMBERS = 12
+"""Most points of a group by which the mean correlation in it is known."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,12 +119,17 @@ class Solutions:
     ratios: tuple[float, ...]
     shares: FloatArray
 
-    def course(self, system: System) -> Course:
-        """Return the course of some control: all ratios with an affine and a quadratic trend."""
+    def course(self, system: System, discrepancies: FloatArray | float = 0.0) -> Course:
+        """Return the course of some control: all ratios with an affine and a quadratic trend.
+
+        Discrepancies (n,) are the variances of what the control shows less the field at its
+        positions, by the variance of the field.
+        """
         likely = self.shares.sum(axis=3).max(axis=1) > NEGLIGIBLE_SHARE                # (t, r)
         shares = self.shares * likely[:, None, :, None]
         noise = shares @ system.noises**2                                              # (t, 2, r)
         correlation = matern(system.positions, system.positions, self.lengths, self.smoothness)
+        correlation[np.diag_indices_from(correlation)] += discrepancies
         variances = np.diag(system.relative_variances)
         n, f = system.trend.shape
         explained = np.zeros((2, n + f, n + f))
@@ -138,6 +157,48 @@ def _with_trend(inverse: FloatArray, trend: FloatArray) -> FloatArray:
     of_trend = np.linalg.inv(trend.T @ toward)
     gain = toward @ of_trend
     return np.block([[inverse - gain @ toward.T, gain], [gain.T, -of_trend]])
+
+
+@dataclass(frozen=True, eq=False)
+class Groups:
+    """How points of groups vary about their means, in scaled coordinates."""
+
+    sizes: FloatArray  # (g,)
+    counts: FloatArray  # (g,): members that stand for a group
+    from_middle: FloatArray  # (p, 2): of members, along lines and samples
+    group_of_member: IntArray  # (p,)
+    apart: FloatArray  # (q, 2): of pairs of members
+    group_of_pair: IntArray  # (q,)
+    squares: FloatArray  # (2,): of the points about their means, by relative variances
+
+    @property
+    def freedom(self) -> float:
+        """Degrees of freedom of the squares on each axis."""
+        return float((self.sizes - 1.0).sum())
+
+    def correlations(self, lengths: tuple[float, float], smoothness: float) -> FloatArray:
+        """Return the mean correlation of two points of each group, (g,); 1 in those of one."""
+        return self._means(self.apart, self.group_of_pair, lengths, smoothness)
+
+    def discrepancies(self, lengths: tuple[float, float], smoothness: float) -> FloatArray:
+        """Return the variance of a field's mean less the field in the middle, by its own, (g,)."""
+        of_mean = 1.0 / self.counts \
+            + (1.0 - 1.0 / self.counts) * self.correlations(lengths, smoothness)
+        to_middle = self._means(self.from_middle, self.group_of_member, lengths, smoothness)
+        return np.maximum(1.0 - 2.0 * to_middle + of_mean, 0.0)
+
+    def _means(self, distances: FloatArray, group_of: IntArray, lengths: tuple[float, float],
+               smoothness: float) -> FloatArray:
+        """Return the mean correlation over such distances in each group, (g,); 1 without any."""
+        correlations = matern(distances, np.zeros((1, 2)), lengths, smoothness)[:, 0]
+        counts = np.bincount(group_of, minlength=len(self.sizes))
+        sums = np.bincount(group_of, correlations, len(self.sizes))
+        return np.where(counts > 0, sums / np.maximum(counts, 1), 1.0)
+
+    def log_likelihood(self, increase: float, noises: FloatArray) -> FloatArray:
+        """Return that of the squares, (2, s), where a field increases the noise's variance."""
+        return np.asarray(-self.freedom * (np.log(noises) + 0.5 * np.log(increase))
+                          - 0.5 * self.squares[:, None] / (noises**2 * increase))
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,7 +233,9 @@ class LocalCourses:
     @cached_property
     def _spread_cell(self) -> Cell:
         """All of few points, or those that are spread over them."""
-        return self._cell(rows_of_field(len(self.control.positions)))
+        system = self.control.take(rows_of_field(len(self.control.positions)))
+        return Cell(system.positions,
+                    tuple(solutions.course(system) for solutions in self.solutions))
 
     @cached_property
     def _centres(self) -> FloatArray:
@@ -185,38 +248,29 @@ class LocalCourses:
         return np.array([positions[rows].mean(axis=0)
                          for rows in _halve_rows(positions, np.arange(n), most)])
 
-    @cached_property
-    def _apart(self) -> IntArray:
-        """Rows of control that is far apart."""
-        return _rows_far_apart(self.control.positions, APART_POINTS)
-
-    def _cell_of(self, number: int) -> Cell:
-        """Return the cell of a number, by the points next to its centre and those far apart."""
+    def cell_of(self, number: int) -> Cell:
+        """Return the cell of a number, by groups of the control that are small next to it."""
         if len(self._centres) == 1:
             return self._spread_cell
-        positions = self.control.positions
-        squares = ((positions - self._centres[number])**2).sum(axis=1)
-        squares[self._apart] = np.inf
-        count = MISFIT_MAX_POINTS - len(self._apart)
-        reach = max(count, int(REACH * len(positions) / len(self._centres)))
-        near = np.argsort(squares)[np.linspace(0, reach - 1, count).round().astype(np.intp)]
-        rows = np.concatenate([self._apart, near])
-        trend = self.control.trend[rows]
-        if np.linalg.matrix_rank(trend) < trend.shape[1]:
+        squares = ((self._centres - self._centres[number])**2).sum(axis=1)
+        squares[number] = np.inf
+        groups = _groups_around(self.control.positions, self._centres[number],
+                                float(np.sqrt(squares.min())))
+        system = _means_of(self.control, groups)
+        if np.linalg.matrix_rank(system.trend) < system.trend.shape[1]:
             return self._spread_cell
-        return self._cell(rows)
-
-    def _cell(self, rows: IntArray) -> Cell:
-        system = self.control.take(rows)
-        return Cell(system.positions,
-                    tuple(solutions.course(system) for solutions in self.solutions))
+        within = _within(self.control.positions, self.control.residuals,
+                         self.control.relative_variances, groups)
+        return Cell(system.positions, tuple(
+            solutions.course(system, within.discrepancies(solutions.lengths, solutions.smoothness))
+            for solutions in self.solutions))
 
     @one_blas_thread
     def squares(self, ground: FloatArray, image: FloatArray) -> FloatArray:
         """Return the mean square errors, (m, 2), of a model that sees places in the image.
 
-        Of many points each call finds the cells of its places anew, as they would fill the memory:
-        all places should be in one call.
+        Of many points only the last cells are kept, as they would fill the memory: many places
+        should be in one call.
         """
         positions = _affine(ground) @ self.to_image
         from scipy.spatial import cKDTree  # only now, as it takes long to import
@@ -227,7 +281,7 @@ class LocalCourses:
         number_of_cell[finite] = cKDTree(self._centres).query(positions[finite])[1]
         for number in np.unique(number_of_cell[finite]):
             inside = np.flatnonzero(number_of_cell == number)
-            cell = self._cell_of(int(number))
+            cell = _kept_cell(self, int(number))
             # In batches, as covariances between all places would fill the memory.
             for batch in np.array_split(inside, len(inside) // MISFIT_BATCH + 1):
                 total[batch] = cell.squares(positions[batch], image[batch] - positions[batch])
@@ -247,6 +301,12 @@ class LocalCourses:
         return total
 
 
+@lru_cache(maxsize=KEPT_CELLS)
+def _kept_cell(courses: LocalCourses, number: int) -> Cell:
+    """Return a cell, kept for places that are asked for one by one, as by clicks on a map."""
+    return courses.cell_of(number)
+
+
 def local_courses(points: Points, pixel: float) -> LocalCourses | None:
     """Return the courses of the error between scaled points in a plane, as the points show them.
 
@@ -264,16 +324,21 @@ def local_courses(points: Points, pixel: float) -> LocalCourses | None:
     trend = trend_of(positions, n)
     if np.linalg.matrix_rank(trend[spread]) < trend.shape[1] or not deviations[spread].any():
         return None
-    smooth_part = trend[spread] @ np.linalg.lstsq(trend[spread], deviations[spread])[0]
-    noises = NOISE_BY_TREND * np.sqrt(((deviations[spread] - smooth_part)**2).mean())
+    from_trend = deviations - trend @ np.linalg.lstsq(trend[spread], deviations[spread])[0]
+    groups = _groups_around(positions, positions.mean(axis=0), np.inf)
     prior = NoisePrior.of(pixel, points.sigma, with_heights=False)
+    relative_variances = prior.relative_variances(len(points))
+    within = _within(positions, from_trend, relative_variances, groups)
+    is_fine = within.freedom >= FINE_FREEDOM
+    noises = (FINE_NOISE_BY_TREND if is_fine else NOISE_BY_TREND) \
+        * np.sqrt((from_trend[spread]**2).mean())
     log_prior = prior.log_probability(noises)
-    control = System(positions, prior.relative_variances(len(points)), trend, deviations, noises)
-    system = control.take(spread)
+    control = System(positions, relative_variances, trend, deviations, noises)
+    system = _means_of(control, groups)
     logs = []
     grids = []
-    for probability, lengths, smoothness, ratios in _priors():
-        by_ratio = _log_likelihoods(system, lengths, smoothness, ratios)             # (t, 2, r, s)
+    for probability, lengths, smoothness, ratios in _priors(FINE_RATIOS if is_fine else RATIOS):
+        by_ratio = _log_likelihoods(system, within, lengths, smoothness, ratios)     # (t, 2, r, s)
         by_noise = np.logaddexp.reduce(by_ratio, axis=2)                               # (t, 2, s)
         logs.append(np.log(probability / len(TREND_COLUMNS)) + log_prior + by_noise.sum(axis=1))
         grids.append((lengths, smoothness, ratios, np.exp(by_ratio - by_noise[:, :, None])))
@@ -287,30 +352,39 @@ def local_courses(points: Points, pixel: float) -> LocalCourses | None:
                         float(shares.sum(axis=(0, 1)) @ noises**2))
 
 
-def _log_likelihoods(system: System, lengths: tuple[float, float], smoothness: float,
-                     ratios: tuple[float, ...]) -> FloatArray:
+def _log_likelihoods(system: System, within: Groups, lengths: tuple[float, float],
+                     smoothness: float, ratios: tuple[float, ...]) -> FloatArray:
     """Return log p(z, ratio | trend, length, s) of both trends and axes, (2, 2, r, s).
 
     The affine part of the trend may be anything. That of higher degree has beforehand the
     information of one point (Zellner 1986, with g = n): the likelihood is that of the affine trend,
     and what the columns explain beyond it.
     """
+    in_groups = within.correlations(lengths, smoothness)
     correlation = matern(system.positions, system.positions, lengths, smoothness)
-    variances = np.diag(system.relative_variances)
+    np.fill_diagonal(correlation, 1.0 / within.sizes + (1.0 - 1.0 / within.sizes) * in_groups)
+    # What two points of a group do not have in common, by the degrees of freedom of the groups.
+    share_apart = float((within.sizes - 1.0) @ (1.0 - in_groups)) / max(within.freedom, 1.0)
     n, f = system.trend.shape
     affine_columns = TREND_COLUMNS[0]
+    # With V^-1/2 K V^-1/2 = Q diag(values) Q', S = V + ratio^2 K is whitened for any ratio.
+    scale = 1.0 / np.sqrt(system.relative_variances)
+    values, vectors = np.linalg.eigh(correlation * np.outer(scale, scale))
+    values = np.maximum(values, 0.0)
+    turned = vectors.T @ (scale[:, None] * np.column_stack([system.trend, system.residuals]))
     logs = np.empty((len(TREND_COLUMNS), 2, len(ratios), len(system.noises)))
     for i, ratio in enumerate(ratios):
-        lower = np.linalg.cholesky(variances + ratio**2 * correlation)
-        whitened = np.linalg.solve(lower, np.column_stack([system.trend, system.residuals]))
+        variances = 1.0 + ratio**2 * values
+        whitened = turned / np.sqrt(variances)[:, None]
         q, r = np.linalg.qr(whitened[:, :f])
         along = q.T @ whitened[:, f:]                                                  # (f, 2)
         explained = (along[affine_columns:]**2).sum(axis=0)[:, None] / system.noises**2
         squares = (whitened[:, f:]**2).sum(axis=0) - (along[:affine_columns]**2).sum(axis=0)
-        determinant = np.log(np.diag(lower)).sum() \
+        determinant = 0.5 * np.log(variances).sum() - np.log(scale).sum() \
             + np.log(np.abs(np.diag(r)[:affine_columns])).sum()
         affine = -(n - affine_columns) * np.log(system.noises) \
             - 0.5 * squares[:, None] / system.noises**2 - determinant
+        affine += within.log_likelihood(1.0 + ratio**2 * share_apart, system.noises)
         logs[0, :, i] = affine
         logs[1, :, i] = affine + 0.5 * explained * n / (n + 1.0) \
             - 0.5 * (f - affine_columns) * np.log(n + 1.0)
@@ -328,27 +402,81 @@ def _halve_rows(positions: FloatArray, rows: IntArray, most: int) -> list[IntArr
         + _halve_rows(positions, order[middle:], most)
 
 
-def _rows_far_apart(positions: FloatArray, count: int) -> IntArray:
-    """Return rows, each the farthest from those before it, the first from the middle, (count,)."""
-    squares = ((positions - positions.mean(axis=0))**2).sum(axis=1)
-    rows = [int(np.argmax(squares))]
-    squares[:] = np.inf
-    while len(rows) < count:
-        squares = np.minimum(squares, ((positions - positions[rows[-1]])**2).sum(axis=1))
-        squares[rows] = -1.0  # so that none comes twice, even of equal positions
-        rows.append(int(np.argmax(squares)))
-    return np.array(rows, dtype=np.intp)
+def _groups_around(positions: FloatArray, centre: FloatArray, reach: float) -> list[IntArray]:
+    """Return rows in MISFIT_MAX_POINTS groups, cut in halves the finer the nearer to a centre.
+
+    The next group to be cut is the one that is seen under the largest angle from the centre; within
+    the reach of the cell they are cut alike, and everywhere if it is infinite.
+    """
+    def entry(rows: IntArray) -> tuple[float, int, IntArray]:
+        extent = float(np.ptp(positions[rows], axis=0).max())
+        distance = float(np.linalg.norm(positions[rows].mean(axis=0) - centre))
+        return -extent / max(distance / reach, 1.0), int(rows[0]), rows
+
+    groups = [entry(np.arange(len(positions)))]
+    while len(groups) < MISFIT_MAX_POINTS and groups[0][0] < 0.0:
+        rows = heappop(groups)[2]
+        for half in _halve_rows(positions, rows, -(-len(rows) // 2)):
+            heappush(groups, entry(half))
+    return [rows for _, _, rows in groups]
 
 
-def _priors() -> Iterator[tuple[float, tuple[float, float], float, tuple[float, ...]]]:
+def _within(positions: FloatArray, deviations: FloatArray, relative_variances: FloatArray,
+            groups: list[IntArray]) -> Groups:
+    """Return how the points of groups vary about their means."""
+    squares = np.zeros(2)
+    from_middle = [np.empty((0, 2))]
+    apart = [np.empty((0, 2))]
+    counts = np.ones(len(groups), dtype=np.intp)
+    pair_counts = np.zeros(len(groups), dtype=np.intp)
+    for number, rows in enumerate(groups):
+        if len(rows) < 2:
+            from_middle.append(np.zeros((1, 2)))
+            continue
+        weights = 1.0 / relative_variances[rows]
+        mean = weights @ deviations[rows] / weights.sum()
+        squares += weights @ (deviations[rows] - mean)**2
+        members = positions[rows[:: -(-len(rows) // MEMBERS)]]
+        first, second = np.triu_indices(len(members), 1)
+        from_middle.append(members - members.mean(axis=0))
+        apart.append(members[first] - members[second])
+        counts[number] = len(members)
+        pair_counts[number] = len(first)
+    numbers = np.arange(len(groups))
+    return Groups(np.array([float(len(rows)) for rows in groups]), counts.astype(np.float64),
+                  np.concatenate(from_middle), np.repeat(numbers, counts),
+                  np.concatenate(apart), np.repeat(numbers, pair_counts), squares)
+
+
+def _means_of(control: System, groups: list[IntArray]) -> System:
+    """Return groups of control as one point each: their means, by the weights of measurements."""
+    group_of = np.empty(len(control.positions), dtype=np.intp)
+    for number, rows in enumerate(groups):
+        group_of[rows] = number
+    weights = 1.0 / control.relative_variances
+    sums = np.bincount(group_of, weights, len(groups))
+
+    def mean(values: FloatArray) -> FloatArray:
+        return np.stack([np.bincount(group_of, weights * column, len(groups)) / sums
+                         for column in values.T], axis=1)
+
+    return replace(control, positions=mean(control.positions), relative_variances=1.0 / sums,
+                   trend=mean(control.trend), residuals=mean(control.residuals))
+
+
+def _priors(field_ratios: tuple[float, ...],
+            ) -> Iterator[tuple[float, tuple[float, float], float, tuple[float, ...]]]:
     """Return probability, lengths, smoothness and ratios of all covariances, at first of none."""
     yield 1.0 - FIELD_PROBABILITY, LENGTHS[0], SMOOTHNESSES[0], (0.0,)
     equal = FIELD_PROBABILITY * (1.0 - UNEQUAL_PROBABILITY) / len(LENGTHS) / len(SMOOTHNESSES)
     for smoothness in SMOOTHNESSES:
         for lengths in LENGTHS:
-            yield equal, lengths, smoothness, RATIOS
-    for lengths in UNEQUAL_LENGTHS:
-        yield FIELD_PROBABILITY * UNEQUAL_PROBABILITY / len(UNEQUAL_LENGTHS), lengths, 1.5, RATIOS
+            yield equal, lengths, smoothness, field_ratios
+    unequal = FIELD_PROBABILITY * UNEQUAL_PROBABILITY / len(UNEQUAL_LENGTHS) \
+        / len(UNEQUAL_SMOOTHNESSES)
+    for smoothness in UNEQUAL_SMOOTHNESSES:
+        for lengths in UNEQUAL_LENGTHS:
+            yield unequal, lengths, smoothness, field_ratios
 
 
 def _affine(ground: FloatArray) -> FloatArray:
