@@ -257,6 +257,8 @@ is 1.1.
 - With 8 points a fifth of the sheets is worse by their series than alone. `auto` takes the series
   where it predicts better.
 - In a series that is none, of maps drawn to unlike accuracy, the interval holds less often.
+- Points of the real maps that are left out include blunders of the volunteers who measured them,
+  which the interval does not mean: it is of points that are measured rightly.
 - Projections that predict alike are alike: which of them is taken hardly counts.
 """
 
