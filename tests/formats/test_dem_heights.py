@@ -16,7 +16,7 @@ import termsel
 from termsel.core.errors import TermselError
 from termsel.data.features import FeatureSet, FloatArray, Lines, Points
 from termsel.formats import heights as module
-from termsel.formats.heights import open_dem, say_difference, with_heights
+from termsel.formats.heights import open_dem, say_difference, surface_of, with_heights
 from termsel.formats.readers.csv_tables import write_lines_csv, write_points_csv
 from termsel.simulate import simulate_scene
 
@@ -234,7 +234,13 @@ def test_a_height_far_from_the_control_is_said(tmp_path: Path,
     for height, side in ((heights.max() + 5000.0, "above"), (heights.min() - 5000.0, "below")):
         caplog.clear()
         say_difference(result.features, result.project, float(height))
-        assert f"5000 {side} the control" in caplog.text
+        assert f"5,000 m {side} the control" in caplog.text
     caplog.clear()
     say_difference(result.features, result.project, float(heights.mean()))
     assert not caplog.text
+
+
+def test_heights_that_rasters_have_where_there_is_none_are_no_ground() -> None:
+    with pytest.raises(TermselError, match="-9999 is no height"), \
+            surface_of(None, "EPSG:4979", -9999.0):
+        pass

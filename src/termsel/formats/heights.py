@@ -13,6 +13,7 @@ import numpy as np
 
 from termsel.core.errors import GIS, TermselError, first_of, printable, requires, rounded
 from termsel.data.coordinates.crs import LOCAL, to_wgs84
+from termsel.data.coordinates.earth import place_of
 from termsel.data.coordinates.longitudes import nearest
 from termsel.data.coordinates.metres import height_unit
 from termsel.data.dem_difference import DemDifference, dem_difference
@@ -393,6 +394,11 @@ def with_heights(features: FeatureSet, dem: Path) -> FeatureSet:
         still_unknown = np.isnan(ground[:, 2])
         is_outside = ~surface.covers(ground[still_unknown, :2])
         surface_extent = surface.extent()
+        covers_some = surface.covers(ground[:, :2]).any()
+    if len(ground) and not unknown.any() and not covers_some:
+        log.warning("Warning: %s covers none of the features, which are around %s. Is it of "
+                    "another place, or have x or y the wrong sign or CRS?",
+                    printable(dem.name), place_of(features))
     if still_unknown.any():
         n = len(features.points)
         owner = features.points.ids + tuple(np.repeat(features.lines.ids, 2))

@@ -12,13 +12,14 @@ import numpy as np
 
 from termsel.core.errors import TermselError, counted, first_of
 from termsel.data.coordinates.crs import is_geographic, normalise, short, with_stated_heights
+from termsel.data.coordinates.earth import place_of
 from termsel.data.coordinates.longitudes import nearest
 from termsel.data.coordinates.plausible import check_ground
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points, select
 from termsel.data.tables.columns import COORDINATES, parse_columns
 from termsel.fitting.extrapolation import FAR_OUTSIDE, outside
 from termsel.formats.base import read_once
-from termsel.formats.heights import say_difference, surface_of, with_heights
+from termsel.formats.heights import Dem, say_difference, surface_of, with_heights
 from termsel.formats.readers.csv_tables import table_text
 from termsel.formats.readers.geojson_points import table_of_places
 from termsel.formats.readers.tables import Table, read_table
@@ -75,6 +76,11 @@ def project_table(
         with surface_of(dem, crs, 0.0 if height is None else height) as surface:
             say_difference(result.features, result.project, surface)
             ground = result.locate(image, surface)
+            if isinstance(surface, Dem) and not np.isfinite(ground).any() \
+                    and _is_elsewhere(surface, result.fit.control.ground_vertices()):
+                raise TermselError("this raster of heights does not cover the control, which is "
+                                   f"around {place_of(result.fit.control)}", file=dem,
+                                   hint="Give a raster of that area.")
         if dem is None and height is None:
             ground[:, 2] = np.nan
     else:
@@ -114,6 +120,13 @@ def project_table(
     return text, list(_warnings(
         select(ids, missed & ~hidden & ~off_image), select(ids, hidden), select(ids, off_image),
         select(ids, ~missed & (distances > FAR_OUTSIDE)), encloses=encloses, inverse=inverse))
+
+
+def _is_elsewhere(surface: Dem, control: FloatArray) -> bool:
+    """Return whether a raster has no ground in common with the box around control (v, 3)."""
+    corners = surface.extent()
+    low, high = control[:, :2].min(axis=0), control[:, :2].max(axis=0)
+    return bool(((corners.max(axis=0) < low) | (corners.min(axis=0) > high)).any())
 
 
 def _off_image(result: Result, image: FloatArray) -> BoolArray:
