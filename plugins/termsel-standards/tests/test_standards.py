@@ -212,7 +212,7 @@ def test_the_command_states_and_prints_json(result: Result, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(("text", "said"), [
-    ("", "no table of errors"),
+    ("", "the file is empty"),
     ("id,dx\nA,1\n", "it has no columns dx and dy. The columns here are: id, dx. "),
     ("id,dx,dy\nA,1,x\n", "line 2, column 'dy': 'x' is not a number"),
     ("id,dx,dy\nA,1,2\nB,,2\n", "line 3, column 'dx': this cell is blank"),
