@@ -297,10 +297,12 @@ def auto_georeference(context: click.Context, /, image: Path, output: Path, fold
       termsel auto-georeference scene.tif --points candidates.csv --reference ortho.tif \\
           --dem dem.tif -o map.tif --out result
     """
-    from termsel.toolkit.models import require_tiff_name
     from termsel_match.chain import georeference
 
-    require_tiff_name(output)
+    # Before minutes of matching.
+    if output.suffix.lower() not in (".tif", ".tiff"):
+        raise TermselError(f"a map is written as GeoTIFF, not as {output.suffix or 'a file'}",
+                           file=output, hint=f"Name it {output.with_suffix('.tif').name}.")
     refuse_output(output, options["overwrite"], image, dem, *options.values())
     # Required only here: other commands share the option.
     if dem is None:
