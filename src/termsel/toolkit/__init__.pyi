@@ -29,6 +29,7 @@ from termsel.core.isolation.helper import safe_start as safe_start
 from termsel.core.isolation.parts import Part as Part
 from termsel.core.options import options_of_file as options_of_file
 from termsel.core.threads import one_blas_thread as one_blas_thread
+from termsel.data.dem_difference import off_as_a_whole as off_as_a_whole
 from termsel.data.distant_rasters import with_dataset as with_dataset
 from termsel.data.features import BoolArray as BoolArray
 from termsel.data.features import FloatArray as FloatArray

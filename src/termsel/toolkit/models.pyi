@@ -3,7 +3,6 @@ from termsel.auto.auto import Auto as Auto
 from termsel.auto.blunders import find_blunders as find_blunders
 from termsel.data.cog import require_tiff_name as require_tiff_name
 from termsel.data.cog import write_cog as write_cog
-from termsel.data.dem_difference import off_as_a_whole as off_as_a_whole
 from termsel.data.extent import KnownImage as KnownImage
 from termsel.data.features import no_lines as no_lines
 from termsel.data.features import select as select

@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from termsel.toolkit.models import off_as_a_whole
+from termsel.toolkit import off_as_a_whole
 from termsel.toolkit.runs import rpc_without_record
 from termsel_block.accuracy import in_space, independent_points, predicted, rmse
 from termsel_block.contradictions import doubts_of_models

@@ -20,8 +20,7 @@ from termsel import (
     read_result,
     read_rpc,
 )
-from termsel.toolkit import say_difference
-from termsel.toolkit.models import off_as_a_whole
+from termsel.toolkit import off_as_a_whole, say_difference
 from termsel_match.images.rasters import FloatArray
 
 Heights = float | Callable[[FloatArray], FloatArray]
