@@ -176,7 +176,7 @@ class TTest(TermRegression):
 
     After the significance test of Moghaddam et al. 2017, ISPRS Archives XLII-4/W4, p. 23 (seen
     in abstract only), which drops RPCs that a t test finds insignificant. termsel's own choices:
-    one term leaves at a time, that of the smallest |t|, and all are tested again; the constant
+    one term leaves at a time, that of the smallest ``|t|``, and all are tested again; the constant
     stays. Only control rows take part. With one mask for line and sample the test of a term is
     the F test of both of its coefficients.
 
