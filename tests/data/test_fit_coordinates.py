@@ -311,6 +311,15 @@ def test_a_method_that_is_asked_for_stays_in_degrees_and_says_so() -> None:
     assert any("--fit-crs polar (EPSG:3031)" in note for note in result.notes)
 
 
+def test_heights_whose_grid_is_not_there_end_no_run_around_a_pole() -> None:
+    # Heights above the geoid EGM96, whose grid PROJ does not bring along.
+    points = around_pole("EPSG:3413", (0.0, 0.0)).points
+    ground = points.ground.copy()
+    ground[:, 2] = np.random.default_rng(1).uniform(0.0, 500.0, len(ground))
+    result = termsel.run(features=FeatureSet(replace(points, ground=ground), crs="EPSG:4326+5773"))
+    assert np.isfinite(result.project(ground)).all()
+
+
 def test_elsewhere_no_polar_projection_is_tried(scene: FeatureSet) -> None:
     result = termsel.run("rfm-terms", features=scene)
     assert not result.fit.control.fit_crs

@@ -169,3 +169,12 @@ def test_heights_in_kilometres_are_named_where_the_image_shows_them(tilt: float)
     image = np.column_stack([(4000 - y) / 2, x / 2]) + rng.normal(0, 0.5, (20, 2))
     assert not note_on_mixed(FeatureSet(Points(tuple(map(str, range(20))), image, flat),
                                         crs="EPSG:32632"))
+
+
+@pytest.mark.parametrize("crs", ["EPSG:3068", "EPSG:2454"])
+def test_metres_near_the_origin_of_a_crs_are_no_kilometres(crs: str) -> None:
+    # A thousand times as far from the origin, the projection has no ground.
+    x, y = places(12_000.0, 13_000.0, 4000.0, 4000.0)
+    image = np.column_stack([y.max() - y, x - x.min()])
+    assert note_on_mixed(features(image, x, y, crs)) == ""
+    assert "look like kilometres" in note_on_mixed(features(image, x / 1000, y / 1000, crs))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -93,6 +94,16 @@ def test_two_levels_are_told_by_their_heights() -> None:
     assert "two levels whose heights are not known" in blank.sentence()
 
 
+def test_points_on_one_line_have_no_two_groups() -> None:
+    along = np.linspace(0.0, 5000.0, 20)
+    zero = np.zeros(20)
+    image = np.column_stack([along / 5, along / 5])
+    image[::2, 0] += 40.0
+    for ground in (np.column_stack([along, zero, zero]), np.column_stack([zero, along, zero])):
+        on_line = Points(tuple(f"q{i}" for i in range(20)), image, ground)
+        assert two_groups(FeatureSet(on_line, crs="EPSG:32633")) is None
+
+
 def test_the_other_datum_is_named() -> None:
     pytest.importorskip("pyproj")
     features = moved(points(height=False), (63.0, -2.0), slice(0, 12))
@@ -102,6 +113,13 @@ def test_the_other_datum_is_named() -> None:
     far = two_groups(moved(points(height=False), (630.0, 900.0), slice(0, 12)))
     assert far is not None
     assert datum_of(far, features.crs, PLACE) == ""
+
+
+def test_without_pyproj_no_datum_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyproj", None)
+    found = two_groups(moved(points(height=False), (63.0, -2.0), slice(0, 12)))
+    assert found is not None
+    assert datum_of(found, "EPSG:4326", PLACE) == ""
 
 
 def test_a_run_says_so_first() -> None:

@@ -39,6 +39,8 @@ _REST = 0.25
 _APART = 6.0
 """Least distance of the groups [standard deviations within them]."""
 _GROUPING_ROUNDS = 50
+_LARGEST_CONDITION = 1e6
+"""Condition of the matrix from the ground to the image up to which it has an inverse."""
 _FARTHEST = 2000.0
 """Longest shift [m]: datums of the Earth are less apart. Longer ones are of what an affine
 transformation does not follow, such as an area of many degrees or an oblique view."""
@@ -86,9 +88,12 @@ class TwoGroups:
 def datum_of(groups: TwoGroups, crs: str, position: tuple[float, float]) -> str:
     """Return the datum whose coordinates are so far from those of a CRS at longitude and latitude.
 
-    "" where PROJ knows none that is in use there.
+    "" where PROJ knows none that is in use there, and without pyproj.
     """
-    from pyproj import Transformer
+    try:
+        from pyproj import Transformer
+    except ImportError:
+        return ""
     from pyproj.aoi import AreaOfInterest
     from pyproj.database import query_crs_info
     from pyproj.enums import PJType
@@ -142,6 +147,9 @@ def two_groups(features: FeatureSet) -> TwoGroups | None:
     sigma = float(np.sqrt((residuals**2).sum() / (2 * (len(plan) - len(coefficients)))))
     if np.sqrt((residuals**2).sum()) > _REST * np.sqrt((joint_residuals**2).sum()) \
             or np.linalg.norm(move) < _APART * sigma:
+        return None
+    # Points on one line do not show in which direction the others are.
+    if np.linalg.cond(coefficients[1:3]) > _LARGEST_CONDITION:
         return None
     # Ground coordinates that are d too far to the east have the image of what is d to the west.
     shift = -np.linalg.solve(coefficients[1:3].T, move)

@@ -16,6 +16,7 @@ from termsel.data.coordinates.crs import (
     WGS84,
     body_of,
     geodetic_of,
+    horizontal,
     is_geocentric,
     kind_of,
     normalise,
@@ -114,15 +115,20 @@ def fit_crs_of(choice: str, control: FeatureSet) -> str:
 
 def _around(control: FeatureSet) -> str:
     """Return the CRS in metres around the middle of the control."""
-    angles = _places(control)[:, :2]
+    angles = _places(control)
     lon, lat = ((angles.min(axis=0) + angles.max(axis=0)) / 2).tolist()
     return metric_crs(control.crs, lon, lat)
 
 
 def _places(control: FeatureSet) -> FloatArray:
-    """Return longitudes without a jump, latitudes [deg] and heights of the control, (v, 3)."""
-    geodetic = transformation(control.crs, geodetic_of(control.crs))(control.ground_vertices())
-    return np.column_stack([continuous(geodetic[:, 0]), geodetic[:, 1:]])
+    """Return longitudes without a jump and latitudes [deg] of the control, (v, 2)."""
+    source = normalise(control.crs)
+    geodetic = geodetic_of(source)
+    if not is_geocentric(source):
+        # Heights of another datum may need a grid that is not there, and say nothing of the place.
+        source, geodetic = horizontal(source), horizontal(geodetic)
+    positions = transformation(source, geodetic)(control.ground_vertices())
+    return np.column_stack([continuous(positions[:, 0]), positions[:, 1]])
 
 
 def note_on_pole(features: FeatureSet, control: FeatureSet) -> str:
@@ -151,6 +157,10 @@ def with_polar(observations: Observations) -> Observations:
         return observations
     # Around a pole degrees of longitude shrink to nothing, and so does what they explain.
     polar = fit_crs_of(POLAR, observations.control)
+    try:
+        transformation(features.crs, polar, for_fit=True)
+    except TermselError:  # heights of another datum, whose grid is not there
+        return observations
     # Both choices see control and selection points alone.
     as_given = Auto().choose(FitData.of(features, observations.heights))
     in_polar = Auto().choose(FitData.of(replace(features, fit_crs=polar), observations.heights))

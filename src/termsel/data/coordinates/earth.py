@@ -131,8 +131,8 @@ def swapped_axes(features: FeatureSet) -> str:
         as_they_stand = degrees_of(features.crs, ground)
         exchanged = degrees_of(features.crs, ground[:, [1, 0, 2]])
     # Scenes may reach beyond the area, so one that is near it is not outside.
-    if area is not None and exchanged is not None and _is_inside(exchanged, area, 0.0) \
-            and (as_they_stand is None or not _is_inside(as_they_stand, area, _AREA_MARGIN)):
+    if area is not None and exchanged is not None and is_inside(exchanged, area, 0.0) \
+            and (as_they_stand is None or not is_inside(as_they_stand, area, _AREA_MARGIN)):
         return (f"x and y look swapped: exchanged, they lie in the area of "
                 f"{short(features.crs)}, and not as they stand")
     # A mirror image of the ground about a diagonal: exchanging makes it the view from above.
@@ -225,7 +225,7 @@ def zone_of_utm_instead(crs: str, features: FeatureSet) -> str:
     """
     area = area_of_use(crs)
     middle = degrees_of(features.crs, features.ground_vertices())
-    if area is None or middle is None or _is_inside(middle, area, _AREA_MARGIN) \
+    if area is None or middle is None or is_inside(middle, area, _AREA_MARGIN) \
             or not -80 <= middle[1] <= 84:
         return ""
     west, south, east, north = area
@@ -234,7 +234,7 @@ def zone_of_utm_instead(crs: str, features: FeatureSet) -> str:
             f"{metric_crs(features.crs, *middle)} is the zone of UTM there")
 
 
-def _is_inside(position: tuple[float, float], area: tuple[float, float, float, float],
+def is_inside(position: tuple[float, float], area: tuple[float, float, float, float],
                margin: float) -> bool:
     """Return whether a position is within an area and a margin around it [deg]."""
     lon, lat = position

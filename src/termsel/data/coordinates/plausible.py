@@ -15,9 +15,9 @@ from termsel.data.coordinates.crs import (
     kind_of,
     normalise,
     short,
-    to_wgs84,
     transformation,
 )
+from termsel.data.coordinates.earth import degrees_of, is_inside
 from termsel.data.coordinates.metres import is_in_degrees
 from termsel.data.features import BoolArray, FeatureSet, FloatArray
 
@@ -237,25 +237,23 @@ def _note_on_kilometres(features: FeatureSet) -> str:
     if kind_of(crs) != "projected" or np.abs(plan).max() > _MOST_KILOMETRES:
         return ""
     area = area_of_use(crs)
-    if area is None or not _is_in_area(1000.0 * plan, crs, area, _AROUND):
+    if area is None or not _is_in_area(1000.0 * points.ground, crs, area, _AROUND):
         return ""
-    pixel = np.linalg.norm(np.ptp(plan, axis=0)) / np.linalg.norm(np.ptp(points.image, axis=0))
-    if _is_in_area(plan, crs, area, 0.0) and pixel > _SMALLEST_PIXEL:
+    extent = np.linalg.norm(np.ptp(plan, axis=0))
+    extent_in_image = np.linalg.norm(np.ptp(points.image, axis=0))
+    if _is_in_area(points.ground, crs, area, 0.0) and extent > _SMALLEST_PIXEL * extent_in_image:
         return ""
     return (f"x and y look like kilometres: times 1,000 they are in the area of {short(crs)}. "
             "Write them in metres, or end the names of their columns in km, such as x_km and "
             "y_km.")
 
 
-def _is_in_area(plan: FloatArray, crs: str, area: tuple[float, float, float, float],
+def _is_in_area(ground: FloatArray, crs: str, area: tuple[float, float, float, float],
                 around: float) -> bool:
-    """Return whether the middle of positions is in an area, or within degrees around it."""
-    middle = np.append(np.median(plan, axis=0), 0.0)
-    lon, lat = to_wgs84(crs)(middle[None])[0, :2].tolist()
-    west, south, east, north = area
-    width = (east - west) % 360.0 or 360.0
-    return bool(south - around <= lat <= north + around
-                and (lon - west + around) % 360.0 <= width + 2 * around)
+    """Return whether the middle of positions (n, 3) is in an area, or within degrees around it."""
+    # Positions that are read in a wrong unit may be where the projection has no ground.
+    middle = degrees_of(crs, ground)
+    return middle is not None and is_inside(middle, area, around)
 
 
 def _note_on_heights_in_kilometres(features: FeatureSet) -> str:
