@@ -18,6 +18,7 @@ from termsel.core.errors import rounded
 from termsel.data.coordinates.crs import transformation
 from termsel.data.features import FeatureSet, FloatArray, Points
 from termsel.data.roles import observe
+from termsel.formats.heights import HeightCaution
 from termsel.formats.readers.csv_tables import write_points_csv
 from termsel.io.accuracy_tags import accuracy_tags
 from termsel.results.verdict import verdict_on_choice
@@ -189,6 +190,20 @@ def test_many_independent_points_come_first() -> None:
     assert result.accuracy is not None
     assert f"Accuracy  {rounded(result.accuracy.image.total)} px / " in result.summary()
     assert accuracy_tags(result)["ACCURACY_STATED"].startswith("by independent check points")
+
+
+def test_no_figure_is_stated_of_a_map_whose_heights_are_wrong() -> None:
+    result = termsel.run(features=sheet(84), options={"fractions": "2:1:1"})
+    figures = {name for name in accuracy_tags(result) if name.startswith("ACCURACY_RMSE")}
+    wrong = accuracy_tags(result, HeightCaution("The DEM is 47 m below the control", 12.4))
+    assert figures
+    assert wrong["ACCURACY_STATED"].startswith("no: ")
+    assert "47 m below" in wrong["ACCURACY_CAUTION"]
+    assert not any("RMSE" in name or "CE90" in name for name in wrong)
+    # What no place is moved by is said, and leaves the figures as they are.
+    harmless = accuracy_tags(result, HeightCaution("The DEM is 47 m below the control", 0.0))
+    assert figures < set(harmless)
+    assert "ACCURACY_CAUTION" in harmless
 
 
 Call = Callable[..., SimpleNamespace]

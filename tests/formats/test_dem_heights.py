@@ -116,6 +116,23 @@ def test_known_heights_stay(tmp_path: Path, caplog: pytest.LogCaptureFixture) ->
     assert found.heights in caplog.text
 
 
+def test_a_dem_of_another_place_is_said_with_the_zone(tmp_path: Path,
+                                                     caplog: pytest.LogCaptureFixture) -> None:
+    path = dem(tmp_path / "dem.tif", planar(30, 20))
+    xy = [[EAST + 50, NORTH - 50], [EAST + 60, NORTH - 70]]
+    with_heights(points(xy, 7.0, "EPSG:32632"), path)
+    assert "dem.tif covers none of the features, which are around 45.2 N, 9.0 E" in caplog.text
+    meets = ("The raster is around 45.2 N, 3.0 E. In EPSG:32631 the features would be on it: is "
+             "EPSG:32632 right?")
+    assert meets in caplog.text
+    with pytest.raises(TermselError, match="2 of 2 features are outside") as caught:
+        with_heights(points(xy, crs="EPSG:32632"), path)
+    assert meets in str(caught.value)
+    caplog.clear()
+    with_heights(points([[EAST - 9e4, NORTH]], 7.0), path)
+    assert "3.0 E: is it of another place?" in caplog.text
+
+
 def test_scale_and_offset_are_applied(tmp_path: Path) -> None:
     path = dem(tmp_path / "dem.tif", planar(30, 20), scales=(0.5,), offsets=(10.0,))
     found = with_heights(points([[EAST + 50, NORTH - 50]]), path)

@@ -69,15 +69,16 @@ MAP = "map"
 
 
 def say_deviation(name: str, fitted: Fit, ground: FloatArray, image: FloatArray,
-                  ending: str = "") -> None:
+                  ending: str = "") -> float:
     """Log the largest deviation of a format from the model, as a warning if it is not small.
 
     The file puts the positions `ground` (n, 3) at `image` (n, 2); `ending` ends the sentence.
+    Returns the largest deviation [px], 0 where none is known.
     """
     difference = image - fitted.project(ground)
     finite = np.isfinite(difference).all(axis=1)
     if not finite.any():
-        return
+        return 0.0
     distance = np.hypot(*difference[finite].T)
     worst = int(np.argmax(distance))
     worst_ground = ground[finite][worst:worst + 1]
@@ -93,6 +94,7 @@ def say_deviation(name: str, fitted: Fit, ground: FloatArray, image: FloatArray,
     remedy = "" if is_close or name == MAP else " A map by termsel rectify keeps to the model."
     log.log(level, "%s%s: at most %s px%s from the model%s.%s", beginning, name,
             _length_in_words(float(distance[worst])), length, ending, remedy)
+    return float(distance[worst])
 
 
 def _length_in_words(length: float) -> str:

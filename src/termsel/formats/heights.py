@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from termsel.core.errors import GIS, TermselError, first_of, printable, requires, rounded
-from termsel.data.coordinates.crs import LOCAL, to_wgs84
-from termsel.data.coordinates.earth import place_of
+from termsel.data.coordinates.crs import LOCAL, UTM, horizontal, to_wgs84
+from termsel.data.coordinates.earth import degrees_of, in_words, place_of
 from termsel.data.coordinates.longitudes import nearest
 from termsel.data.coordinates.metres import height_unit
 from termsel.data.dem_difference import DemDifference, dem_difference
@@ -41,6 +41,17 @@ _AROUND = 2  # further pixels on each side of a part
 _NODATA = -1e10
 _HEIGHT_TYPES = ("int16", "int32", "float32", "float64")
 _PLACED = "Give a raster in a geographic or projected CRS of the Earth."
+
+
+@dataclass(frozen=True)
+class HeightCaution:
+    """What heights of the ground may do wrong on a map: a sentence, and the effect in the image.
+
+    `pixels` is how far a place is moved [px].
+    """
+
+    sentence: str
+    pixels: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -350,37 +361,47 @@ def pixels_by(above: float, features: FeatureSet, project: Projection) -> float:
     return float(np.nanmedian(moved)) if np.isfinite(moved).any() else 0.0
 
 
-def say_difference(features: FeatureSet, project: Projection, surface: Dem | float) -> None:
+def say_difference(features: FeatureSet, project: Projection, surface: Dem | float,
+                   ) -> HeightCaution | None:
     """Warn where a raster, or one height, contradicts the heights of control, and by how many px.
+
+    Returns what was said, None where nothing contradicts them.
     """
     if not isinstance(surface, Dem):
-        _say_far_height(features, project, surface)
-        return
-    difference = difference_of(features, surface)
-    if difference is not None and difference.contradicts:
-        log.warning("Warning: %s", difference.sentence(pixels_of(difference, features, project)))
+        caution = _far_height(features, project, surface)
+    else:
+        caution = None
+        difference = difference_of(features, surface)
+        if difference is not None and difference.contradicts:
+            pixels = pixels_of(difference, features, project)
+            caution = HeightCaution(difference.sentence(pixels), pixels)
+    if caution is not None:
+        log.warning("Warning: %s", caution.sentence)
+    return caution
 
 
-def _say_far_height(features: FeatureSet, project: Projection, height: float) -> None:
-    """Warn where a height is farther from the control's than these are from each other."""
+def _far_height(features: FeatureSet, project: Projection, height: float) -> HeightCaution | None:
+    """Return that a height is farther from the control's than these are from each other."""
     heights = features.ground_vertices()[:, 2]
     heights = heights[np.isfinite(heights)]
     if not len(heights):
-        return
+        return None
     unit = height_unit(features.crs)
     lowest, highest = float(heights.min()), float(heights.max())
     beyond = max(lowest - height, height - highest)
     if beyond <= highest - lowest:
-        return
+        return None
     above = height - (highest if height > highest else lowest)
     pixels = pixels_by(above, features, project)
     # A model of the plane does not see heights.
-    if pixels >= FAR_HEIGHT_PIXELS:
-        side = "above" if above > 0 else "below"
-        log.warning("Warning: the height %s m is %s m %s the control (%s to %s m): %s px in the "
-                    "image, where the model was not tested. Give the height of the ground, in the "
-                    "unit of the control.", f"{height * unit:,.0f}", rounded(beyond * unit), side,
-                    f"{lowest * unit:,.0f}", f"{highest * unit:,.0f}", rounded(pixels))
+    if pixels < FAR_HEIGHT_PIXELS:
+        return None
+    side = "above" if above > 0 else "below"
+    return HeightCaution(
+        f"the height {height * unit:,.0f} m is {rounded(beyond * unit)} m {side} the control "
+        f"({lowest * unit:,.0f} to {highest * unit:,.0f} m): {rounded(pixels)} px in the image, "
+        "where the model was not tested. Give the height of the ground, in the unit of the "
+        "control.", pixels)
 
 
 def with_heights(features: FeatureSet, dem: Path) -> FeatureSet:
@@ -395,16 +416,19 @@ def with_heights(features: FeatureSet, dem: Path) -> FeatureSet:
         is_outside = ~surface.covers(ground[still_unknown, :2])
         surface_extent = surface.extent()
         covers_some = surface.covers(ground[:, :2]).any()
+        elsewhere = "" if covers_some or not len(ground) else other_place(surface, features)
     if len(ground) and not unknown.any() and not covers_some:
-        log.warning("Warning: %s covers none of the features, which are around %s. Is it of "
-                    "another place, or have x or y the wrong sign or CRS?",
-                    printable(dem.name), place_of(features))
+        log.warning("Warning: the raster %s covers none of the features, which are around %s. %s",
+                    printable(dem.name), place_of(features), elsewhere)
     if still_unknown.any():
         n = len(features.points)
         owner = features.points.ids + tuple(np.repeat(features.lines.ids, 2))
         names = list(dict.fromkeys(str(owner[i]) for i in np.flatnonzero(still_unknown)))
-        raise _without_heights(names, len(features), ground[still_unknown, :2], surface_extent,
-                               is_outside, dem)
+        error = _without_heights(names, len(features), ground[still_unknown, :2],
+                                 surface_extent, is_outside, dem)
+        if not covers_some:
+            error.hint = f"{elsewhere} {error.hint}"
+        raise error
     n = len(features.points)
     statement = (f"{unknown.sum()} of {len(ground)} heights from {printable(dem.name)}, bilinear; "
                  f"vertical datum: {datum}")
@@ -416,6 +440,34 @@ def with_heights(features: FeatureSet, dem: Path) -> FeatureSet:
         dem_difference=difference,
         points=replace(features.points, ground=ground[:n]),
         lines=replace(features.lines, ground=ground[n:].reshape(-1, 2, 3)))
+
+
+def other_place(surface: Dem, features: FeatureSet) -> str:
+    """Return where a raster is that covers no feature, and the zone of UTM in which it would."""
+    from pyproj import CRS, Transformer
+
+    middle = degrees_of(surface.crs, np.column_stack([surface.extent(), np.zeros(2)]))
+    if middle is None:
+        return "Is it of another place, or have x or y the wrong sign or CRS?"
+    place = f"The raster is around {in_words(middle)}"
+    stated = UTM.match(horizontal(features.crs))
+    if stated is None:
+        return f"{place}: is it of another place, or have x or y the wrong sign or CRS?"
+    xy = features.ground_vertices()[:, :2]
+    for zone in _zones_near(middle[0]):
+        for hemisphere in "67":
+            other = f"EPSG:32{hemisphere}{zone:02}"
+            to_raster = Transformer.from_crs(other, CRS(surface.raster.crs.to_wkt()).to_2d(),
+                                             always_xy=True)
+            if replace(surface, to_raster=to_raster, crs=other).covers(xy).all():
+                return f"{place}. In {other} the features would be on it: is {stated[0]} right?"
+    return f"{place}: is it of another place?"
+
+
+def _zones_near(lon: float) -> tuple[int, int, int]:
+    """Return the zone of UTM at a longitude [deg], and its neighbours."""
+    zone = int((lon + 180.0) // 6.0) % 60
+    return zone + 1, (zone - 1) % 60 + 1, (zone + 1) % 60 + 1
 
 
 def _without_heights(names: Sequence[str], total: int, xy: FloatArray, extent: FloatArray,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from termsel.core.errors import counted
 from termsel.core.version import __version__
 from termsel.fitting.accuracy import pixel_on_ground
+from termsel.formats.heights import HeightCaution
 from termsel.results.accuracy import are_computed, expected_of, lattice_of, predicted_first
 
 if TYPE_CHECKING:
@@ -83,11 +84,16 @@ def prediction_of(result: Result) -> Prediction | None:
                       pixel=pixel_on_ground(result.fit), method=method, points=points)
 
 
-def accuracy_tags(result: Result) -> dict[str, str]:
+_HARMLESS = 1 / 3
+"""Effect of wrong heights by the RMSE up to which the RMSE holds: it makes it 5 % larger."""
+
+
+def accuracy_tags(result: Result, heights: HeightCaution | None = None) -> dict[str, str]:
     """Return tags of a TIFF: accuracy as predicted or of the run on independent points; date.
 
     The first figure is the surer one, as in the summary. A final fit has used the independent
-    points too, so theirs is the accuracy of the fit before.
+    points too, so theirs is the accuracy of the fit before. Where a caution on the `heights` of
+    the map stands, it is among the tags, and no figure is that the map does not have.
     """
     # One time for both tags, which different readers take.
     written_at = datetime.now(UTC)
@@ -95,6 +101,14 @@ def accuracy_tags(result: Result) -> dict[str, str]:
             "TIFFTAG_DATETIME": f"{written_at:%Y:%m:%d %H:%M:%S}"}
     accuracy = result.accuracy
     expected = expected_of(result)
+    if heights is not None:
+        tags["ACCURACY_CAUTION"] = heights.sentence
+        rmse = [] if expected is None else [expected.rmse]
+        if accuracy is not None:
+            rmse.append(accuracy.image.total)
+        if rmse and heights.pixels > _HARMLESS * min(rmse):
+            return tags | {"ACCURACY_STATED": "no: that of the model is not that of this map, see "
+                                              "ACCURACY_CAUTION"}
     predicted = "" if expected is None else (
         f"predicted RMSE {expected.rmse:.3g} px "
         f"({100 * expected.level:g} % interval {expected.low:.3g} to {expected.high:.3g} px)")

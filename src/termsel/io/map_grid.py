@@ -24,7 +24,7 @@ from termsel.data.coordinates.earth import place_of, zone_of_utm_instead
 from termsel.data.coordinates.longitudes import continuous
 from termsel.data.coordinates.metres import is_polar, metric_crs, polar_crs
 from termsel.data.features import FloatArray
-from termsel.formats.heights import Dem, surface_of
+from termsel.formats.heights import Dem, open_dem, other_place, surface_of
 
 if TYPE_CHECKING:
     from termsel.results.result import Result
@@ -163,9 +163,12 @@ def grid_of_image(result: Result, crs: str, resolution: float | None = None, *,
         if dem is None:
             raise TermselError("the model gives no ground position anywhere in the image",
                                hint="Do not use it: choose another model, or measure more.")
+        control = result.fit.control
+        with open_dem(Path(dem), control.crs) as surface:
+            where = other_place(surface, control)
         raise TermselError(f"this raster of heights does not cover the image, which is around "
-                           f"{place_of(result.fit.control)}", file=dem,
-                           hint="Give a raster of that area.")
+                           f"{place_of(control)}", file=dem,
+                           hint=f"{where} Give a raster of that area.")
     (first_line, first_sample), (last_line, last_sample) = result.fit.image_box()
     # The spacing of the nodes, by the number of pixels between two of them.
     pixels = [np.nanmedian(line_spacing) * (_OUTLINE - 1) / max(last_line - first_line, 1.0),

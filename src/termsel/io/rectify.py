@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from termsel.core.errors import TermselError
+from termsel.core.errors import TermselError, rounded
 from termsel.core.files.atomic import private_folder, write_text
 from termsel.core.files.names import utf8_name
 from termsel.data.archives import raster_in
@@ -27,7 +27,13 @@ from termsel.data.rasters import gdal_name, open_raster, refuse_empty_giant, req
 from termsel.fitting.rpc_fit import GOOD, RpcFit, closest_rpc
 from termsel.fitting.sky import NEAR_OR_FAR, why_not_shown
 from termsel.formats.deviation import places_of, say_deviation
-from termsel.formats.heights import Dem, say_difference, surface_of, write_ellipsoidal
+from termsel.formats.heights import (
+    Dem,
+    HeightCaution,
+    say_difference,
+    surface_of,
+    write_ellipsoidal,
+)
 from termsel.formats.pictures import Picture
 from termsel.formats.rpc_files import rpc_items
 from termsel.formats.vrt import picture_for, vrt_text
@@ -159,6 +165,7 @@ def rectify(
         if bounds is not None:
             grid = within(grid, bounds, result.features.crs)
         surface = stack.enter_context(surface_of(dem, result.features.crs, level))
+        caution = _say_heights(result, surface)
         warped = replace(pixels.plain, path=Path(stack.enter_context(utf8_name(image))))
         source, options = _source(result, warped, folder / "scene.vrt", surface, grid)
         # Positions are computed here where GDAL's warper cannot: by any model but an RPC.
@@ -172,8 +179,8 @@ def rectify(
             crs_note = "" if crs is not None or target == horizontal(result.features.crs) else \
                 f" ({zone}as the control is not in metres; --crs names another)"
             _say(result, grid, crs_note, share, dem)
-            warp(raster, output, grid, pixels, tags=accuracy_tags(result), progress=progress,
-                 positions=positions, **options)
+            warp(raster, output, grid, pixels, tags=accuracy_tags(result, caution),
+                 progress=progress, positions=positions, **options)
 
 
 def _source(result: Result, picture: Picture, vrt: Path, surface: Dem | float, grid: MapGrid,
@@ -187,11 +194,8 @@ def _source(result: Result, picture: Picture, vrt: Path, surface: Dem | float, g
     rpc_fit = _rpc(result) if sees_all(result, grid, level) else None
     if rpc_fit is None:
         log.info("Positions in the image are computed on a grid of the map, and interpolated.")
-        _say_level(result, surface)
-        say_difference(result.features, result.project, surface)
         write_text(vrt, vrt_text(picture, vrt.parent))
         return vrt, None
-    say_difference(result.features, result.project, surface)
     write_text(vrt, vrt_text(picture, vrt.parent, domains={"RPC": rpc_items(rpc_fit.rpc)}))
     # An RPC takes ellipsoidal heights in metres, whatever those of the control are.
     to_ellipsoidal = to_wgs84(result.features.crs)
@@ -209,17 +213,32 @@ def _source(result: Result, picture: Picture, vrt: Path, surface: Dem | float, g
     return vrt, {"RPC_DEM": str(dem), "RPC_DEM_APPLY_VDATUM_SHIFT": "FALSE"}
 
 
-def _say_level(result: Result, surface: Dem | float) -> None:
+def _say_heights(result: Result, surface: Dem | float) -> HeightCaution | None:
+    """Warn where the heights of the ground contradict the control, or a level leaves out relief.
+
+    Returns the caution with the larger effect, None where there is none.
+    """
+    level = _say_level(result, surface)
+    difference = say_difference(result.features, result.project, surface)
+    cautions = [caution for caution in (level, difference) if caution is not None]
+    return max(cautions, key=lambda caution: caution.pixels, default=None)
+
+
+def _say_level(result: Result, surface: Dem | float) -> HeightCaution | None:
     """Warn how far heights of the control are off a level ground, if no raster is given."""
     if isinstance(surface, Dem) or not result.fit.model.uses_height:
-        return
+        return None
     log.warning("Warning: without a raster of heights (--dem) the ground is taken as level, at the "
                 "height %.6g.", surface)
     positions = places_of(result.fit)
     # Where each place would be seen if the ground were level.
     level = positions * [1, 1, 0] + [0, 0, surface]
-    say_deviation("map", result.fit, positions, result.fit.project(level),
-                  ", at the heights of the control")
+    pixels = say_deviation("map", result.fit, positions, result.fit.project(level),
+                           ", at the heights of the control")
+    return HeightCaution(
+        f"Without a raster of heights the ground is taken as level, at the height {surface:.6g}: "
+        f"at the heights of the control the map is up to {rounded(pixels)} px from the model",
+        pixels)
 
 
 def _rpc(result: Result) -> RpcFit | None:

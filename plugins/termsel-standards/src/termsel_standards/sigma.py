@@ -117,7 +117,7 @@ def write_sigma(
     require_replaceable([output], reads=[image, like_map, dem], overwrite=overwrite)
     if height is not None and not isfinite(height):
         raise TermselError(f"the height of a map cannot be {height}", hint="Give a number.")
-    tags = accuracy_tags(result)
+    of_run = result
     result = result.as_exported(final)
     # Without a size of the image the raster covers what the image shows.
     if image is not None:
@@ -125,7 +125,7 @@ def write_sigma(
     level = float(result.fit.ground_box()[0][2]) if height is None else height
     grid = _grid(result, like_map, bounds, resolution, crs, heights=(dem, level))
     with surface_of(dem, result.features.crs, level) as surface:
-        say_difference(result.features, result.project, surface)
+        tags = accuracy_tags(of_run, say_difference(result.features, result.project, surface))
         nodes = _Nodes.of(result, grid, surface)
         precision = (f"interpolated, within {100 * nodes.error:.2g} % of the model at {_TESTED} "
                      "places")
