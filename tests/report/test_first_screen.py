@@ -154,6 +154,21 @@ def test_the_figure_of_a_rival_stands_next_to_another_of_the_model() -> None:
     assert "affine 0.60 px against 0.50 px in leave-one-out" in line
 
 
+@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("words", [12, 20, 55])
+def test_the_first_caution_is_never_cut_within_a_sentence(name: str, words: int) -> None:
+    sentence = " ".join(f"word{i}" for i in range(words))
+    case = {**CASES[name], "feasible": True}
+    lines = first_screen(**{**case, "notes": [f"{sentence}. It is so for a reason.", "Another."]})
+    # A sentence of three lines and more may make the screen longer.
+    assert len(lines) + 1 <= SCREEN_LINES or words == 55
+    start = next((i for i, line in enumerate(lines) if line.startswith("Caution")), len(lines))
+    caution = " ".join(" ".join(lines[start:]).split())
+    # Another warning may be more urgent than the note.
+    assert sentence in caution or "word0" not in caution
+    assert "..." not in caution
+
+
 def test_notes_that_do_not_fit_are_counted() -> None:
     notes = [f"Note {i} is long enough to be a line of its own. More of it." for i in range(9)]
     lines = first_screen(**CASES["outliers"], notes=notes)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import PurePath
 from shlex import quote
-from textwrap import shorten
 
 from termsel.auto.methods import BY_NAME
 from termsel.core.errors import amount, counted, cut, percent, rounded
@@ -63,32 +62,36 @@ def first_screen(record: Record) -> list[Fact]:
     """Return the facts of the first screen; one more line is left for the command that follows."""
     warnings = _warnings(record)
     # Room for the first warning is kept before the facts are: it must be seen.
-    reserved = min(_height(Fact(warnings[0], "Caution")), _MOST_OF_A_WARNING) if warnings else 0
+    reserved = _lines_of_first(warnings)
     room = SCREEN_LINES - 1 - reserved - (1 if len(warnings) > 1 else 0)
     facts = _facts(record, brief=0)
     # Facts become shorter step by step, until they fit.
-    for brief in (1, 2):
+    for brief in (1, 2, 3):
         if sum(map(_height, facts)) > room:
             facts = _facts(record, brief)
     return [*facts, *_cautions(warnings, SCREEN_LINES - 1 - sum(map(_height, facts)))]
 
 
 def _facts(record: Record, brief: int) -> list[Fact]:
-    """Return all facts but cautions: briefly (1) without second lines, or (2) counting outliers."""
+    """Return all facts but cautions, briefly.
+
+    That is (1) without second lines, (2) counting outliers, or (3) also without comparisons and
+    the search.
+    """
     compared: list[str] = []
-    if record.feasible:
+    if record.feasible and brief < 3:
         # The best rival that needs no search, and the conventional fit.
         rival = next((row for row in record.baselines if row.name == record.reference), None)
         if rival is not None:
             compared += _against(record, rival)
         if record.strategy is None and record.baselines:
             compared += _conventional(record, record.baselines[0])
-    search = list(_facts_on_search(record))
+    search = list(_facts_on_search(record)) if brief < 3 else []
     # The first line of a topic says it, further ones explain.
     if brief:
         compared = compared[:1]
         search = search[:1]
-    outliers = _counted_outliers(record) if brief == 2 else outlier_lines(record)
+    outliers = _counted_outliers(record) if brief >= 2 else outlier_lines(record)
     return [*_facts_on_data(record, brief), Fact(""), Fact(_model(record), "Model"),
             *_label_facts("Accuracy", accuracy_lines(record)), *_label_facts("Outliers", outliers),
             *_label_facts("Compared", compared), *_label_facts("Search", search)]
@@ -481,18 +484,17 @@ def _unused_rpc(record: Record) -> str:
 def _cautions(warnings: Sequence[str], room: int) -> Iterator[Fact]:
     """Yield the most urgent warnings that fit into `room` lines, and how many more there are.
 
-    A warning that does not fit as a whole is given by its first sentence.
+    A warning that does not fit as a whole is given by its first sentence. That of the first one is
+    never cut: half a caution says nothing.
     """
     label = "Caution"
     for i, warning in enumerate(warnings):
         remaining = len(warnings) - i
         space = room - (1 if remaining > 1 else 0)
         texts = [warning.removesuffix("."), _first_sentence(warning)]
-        if i == 0:
-            texts.append(shorten(_first_sentence(warning), _WIDTH - 1, placeholder=" ..."))
         facts = [Fact(text, label) for text in texts]
         # The first warning is shown whatever the room.
-        largest = max(space, 1 if i == 0 else 0)
+        largest = max(space, _height(facts[-1]) if i == 0 else 0)
         fitting = [fact for fact in facts if _height(fact) <= largest]
         if not fitting:
             yield Fact(f"{counted(remaining, 'more note')}: --verbose", label)
@@ -500,6 +502,15 @@ def _cautions(warnings: Sequence[str], room: int) -> Iterator[Fact]:
         yield fitting[0]
         room -= _height(fitting[0])
         label = " "
+
+
+def _lines_of_first(warnings: Sequence[str]) -> int:
+    """Return the lines that the first warning needs: its first sentence, or some more."""
+    if not warnings:
+        return 0
+    whole = _height(Fact(warnings[0].removesuffix("."), "Caution"))
+    return max(min(whole, _MOST_OF_A_WARNING),
+               _height(Fact(_first_sentence(warnings[0]), "Caution")))
 
 
 def _first_sentence(note: str) -> str:
