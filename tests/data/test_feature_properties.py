@@ -13,7 +13,7 @@ from hypothesis.extra.numpy import arrays
 from termsel.core.errors import TermselError
 from termsel.data.coordinates.places import spatial_order
 from termsel.data.features import ROLES, FeatureSet, FloatArray, Lines, Points
-from termsel.data.roles import ASSIGNABLE, SPLITS, assign
+from termsel.data.roles import ASSIGNABLE, SPLITS, assign_roles
 from termsel.data.scaling import scaling_of
 
 # The same examples every time: a failure in a test of figures must not depend on luck.
@@ -224,12 +224,13 @@ def _somewhere(xy: FloatArray) -> Points:
 def test_every_point_gets_a_role_by_share(n: int, seed: int, how: str,
                                           fractions: tuple[float, float, float]) -> None:
     some, split = _somewhere(np.random.default_rng(seed).uniform(0, 1e4, (n, 2))), BY_NAME[how]
-    roles = assign(some, split=split, fractions=fractions, rng=np.random.default_rng(seed))
+    roles = assign_roles(some, split=split, fractions=fractions, rng=np.random.default_rng(seed))
     assert len(roles) == n
     assert set(roles) <= set(ASSIGNABLE)
     for role, share in zip(ASSIGNABLE, np.array(fractions) / sum(fractions), strict=True):
         assert abs(roles.count(role) - share * n) < 1 + 1e-9
-    assert roles == assign(some, split=split, fractions=fractions, rng=np.random.default_rng(seed))
+    assert roles == assign_roles(some, split=split, fractions=fractions,
+                                 rng=np.random.default_rng(seed))
 
 
 @given(st.integers(6, 12), seeds)
@@ -237,7 +238,7 @@ def test_each_role_covers_all_quadrants(side: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     xy = np.stack(np.meshgrid(np.arange(side), np.arange(side)), -1).reshape(-1, 2) + 0.5
     xy = xy + rng.uniform(-0.4, 0.4, xy.shape)
-    roles = np.array(assign(_somewhere(xy), rng=rng))
+    roles = np.array(assign_roles(_somewhere(xy), rng=rng))
     quadrant = (xy > side / 2) @ [1, 2]
     for role in ASSIGNABLE:
         assert set(quadrant[roles == role]) == {0, 1, 2, 3}
@@ -251,4 +252,4 @@ def test_spatial_order_names_every_point_once(xy: FloatArray) -> None:
 @given(st.tuples(*[st.sampled_from([-1.0, 0.0, np.nan, np.inf])] * 3))
 def test_fractions_that_share_nothing_out(fractions: tuple[float, float, float]) -> None:
     with pytest.raises(TermselError, match="do not assign the points"):
-        assign(_somewhere(np.eye(3, 2)), fractions=fractions, rng=np.random.default_rng(1))
+        assign_roles(_somewhere(np.eye(3, 2)), fractions=fractions, rng=np.random.default_rng(1))

@@ -12,7 +12,7 @@ import pytest
 import termsel
 from termsel.core.errors import TermselError
 from termsel.data.features import FeatureSet, Lines, Points
-from termsel.data.fingerprints import KEPT, made_by, makers_of
+from termsel.data.fingerprints import KEPT, makers_of, with_control_record
 from termsel.data.roles import Observations
 from termsel.formats.rpc_control import read_errors
 from termsel.formats.rpc_files import (
@@ -80,7 +80,7 @@ def test_points_measured_anew_or_converted_are_recognised() -> None:
 
 def test_of_very_many_points_some_are_recognised() -> None:
     many = scattered(2000)
-    rpc = made_by(vendor_rpc(), many)
+    rpc = with_control_record(vendor_rpc(), many)
     assert len(rpc.control_digests) == KEPT
     assert len(makers_of(rpc, many)) > KEPT / 3
 
@@ -88,7 +88,7 @@ def test_of_very_many_points_some_are_recognised() -> None:
 def test_control_of_a_large_set_is_refused_without_what_is_recognised(
         caplog: pytest.LogCaptureFixture) -> None:
     many = scattered(1000)
-    rpc = replace(made_by(vendor_rpc(), many), source="scene.RPB")
+    rpc = replace(with_control_record(vendor_rpc(), many), source="scene.RPB")
     with pytest.raises(TermselError, match=r"termsel to at least 2\d\d of these") as error:
         refuse_makers(rpc, all_control(many))
     assert "role off" not in str(error.value.hint)
@@ -110,7 +110,7 @@ def test_any_piece_of_a_line_is_recognised() -> None:
     assert makers_of(fitted_rpc(features), with_lines) == list(features.ids)
     moved = replace(lines, image=lines.image + 9.0, ground=lines.ground + np.array(
         [1.0, 1.0, 0.0, 1.0])[:, None, None])
-    rpc = made_by(vendor_rpc(), with_lines)
+    rpc = with_control_record(vendor_rpc(), with_lines)
     assert makers_of(rpc, features.with_(lines=moved)) == [*features.ids, "L1"]
 
 
@@ -123,7 +123,7 @@ def scattered(count: int, seed: int = 1) -> FeatureSet:
 
 @pytest.mark.parametrize("ending", [".RPB", "_RPC.TXT"])
 def test_files_carry_the_mark(image: Path, ending: str) -> None:
-    rpc = made_by(fitted_rpc(points(9)), points(150, 3))
+    rpc = with_control_record(fitted_rpc(points(9)), points(150, 3))
     beside = image.with_name(f"scene{ending}")
     text = rpb_text(rpc) if ending == ".RPB" else rpc_txt_text(rpc)
     beside.write_text(text)
@@ -229,7 +229,7 @@ def test_errors_that_an_rpc_states_are_kept_beside_the_mark(
         bias: float | None, random: float | None) -> None:
     stated = replace(vendor_rpc(), error_bias=bias, error_random=random)
     for control in (points(7), scattered(1000)):
-        rpc = made_by(stated, control)
+        rpc = with_control_record(stated, control)
         again = from_items(rpc_items(rpc))
         assert again == rpc
         assert again.control_count == len(control)

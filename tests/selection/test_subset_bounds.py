@@ -70,7 +70,7 @@ def test_a_held_out_bound_keeps_its_digits_where_targets_are_long() -> None:
             least -= q @ (q.T @ least)
         top, work = np.ascontiguousarray(np.hstack([A, b]).T), np.empty((n + r, m))
         for limit, end in ((1 + 1e-7, 1), (1 - 1e-5, 0)):
-            assert subset_held_out.first_closed(
+            assert subset_held_out.first_prunable_column(
                 top, leverage, 0, n, limit * float((least**2).sum()), work) == end
 
 

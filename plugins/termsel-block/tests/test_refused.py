@@ -14,7 +14,7 @@ from termsel import TermselError, read
 from termsel.testing import invoke
 from termsel_block.example import write_example
 from termsel_block.files.block_file import read_block
-from termsel_block.files.folders import claim
+from termsel_block.files.folders import require_free_folder
 
 
 @pytest.fixture(scope="module")
@@ -144,7 +144,7 @@ def test_a_copy_of_an_image_is_refused(folder: Path, place: str, message: str) -
 
 def test_an_image_with_the_name_of_a_file_of_the_block_is_refused(tmp_path: Path) -> None:
     with pytest.raises(TermselError, match=r"'Block\.json' cannot be the name of an image"):
-        claim(tmp_path / "new", ["A", "Block.json"], overwrite=False)
+        require_free_folder(tmp_path / "new", ["A", "Block.json"], overwrite=False)
 
 
 def test_ties_in_one_image_are_left_out(folder: Path) -> None:

@@ -216,7 +216,7 @@ def test_systems_of_mapinfo(old: str, new: str, crs: str, tmp_path: Path) -> Non
     ("pam-gcps", "GCPList", "List", "no ground control points", None),
     ("pam-gcps", "<PAM", "<!DOCTYPE a><PAM", "document type", None),
     ("world-file", "500005", "east", "not a number", 5),
-    ("world-file", "500005.0", "nan\n#", "not a number", 6),
+    ("world-file", "500005.0", "nan\n#", "'nan' is not a finite number", 5),
     ("world-file", "500005", "1\n500005", "7 numbers", None),
     ("pci-gcp", "40.75", "forty", "not a number", 3),
     ("pci-gcp", " 530 ", "", "6 fields, expected 7", 3),

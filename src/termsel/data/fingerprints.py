@@ -28,10 +28,11 @@ ERROR_DIGITS = 6
 """Digits of the stated errors of an RPC that termsel fitted: those behind them say that it did."""
 
 
-def made_by(rpc: Rpc, control: FeatureSet) -> Rpc:
+def with_control_record(rpc: Rpc, control: FeatureSet) -> Rpc:
     """Return an RPC that keeps a record of the control it was fitted to, and of any before that.
 
-    Its errors get the digits that its file has room for.
+    At most `KEPT` digests are kept. Its stated errors are rounded to `ERROR_DIGITS` digits, by
+    which a file that termsel wrote is recognised.
     """
     digests = {digest for pair in _vertex_digests(control) for digest in pair}
     bias = _rounded_error(rpc.error_bias)

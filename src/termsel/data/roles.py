@@ -152,11 +152,13 @@ class Split:
 
     Examples
     --------
+    >>> import numpy as np
     >>> import termsel
     >>> split = termsel.Split("all", "All points are control.",
-    ...                       lambda ids, image, ground, rng: ["control"] * len(ids))
-    >>> split.name
-    'all'
+    ...                       lambda ids, ground, shares, rng: ["control"] * len(ids))
+    >>> split.roles(("A", "B"), np.zeros((2, 3)), np.array([1.0, 0.0, 0.0]),
+    ...             np.random.default_rng(0))
+    ('control', 'control')
     """
 
     name: str
@@ -292,7 +294,7 @@ class Observations:
                        control=replace(self.control, fit_crs=crs))
 
 
-def assign(
+def assign_roles(
     points: Points,
     *,
     split: Split = STRATIFIED,
@@ -303,13 +305,15 @@ def assign(
 ) -> tuple[str, ...]:
     """Assign the roles control, check and independent to points, by their places on the ground.
 
-    Shares of control, check and independent points are scaled to a sum of one; where lines are the
-    control, that of control is 0. Raises TermselError for negative ones, or where none is left.
+    `fractions` are the shares of control, check and independent points, of any sum. `lines` says
+    whether lines are the control: the share of control points is 0 then. `crs` is that of the
+    points. Raises TermselError for negative shares, or if control (with lines: check) has none.
     """
-    # Points are no control where lines are.
+    # The first role that needs a share: points are no control where lines are.
+    first_role = 1 if lines else 0
     shares = np.array((0.0, *fractions[1:]) if lines else fractions, dtype=np.float64)
     if shares.shape != (3,) or not np.isfinite(shares).all() or (shares < 0).any() \
-            or not shares[int(lines)]:
+            or not shares[first_role]:
         raise TermselError(f"fractions {list(fractions)} do not assign the points",
                            hint="Give three numbers: control (above 0), check, independent.")
     shares = shares / shares.max()  # the sum of huge ones is infinite
@@ -408,8 +412,9 @@ def observe(
     if blank.size:
         # One representative of each group of twins is assigned, and the others follow.
         _, first, group = np.unique(labels[blank], return_index=True, return_inverse=True)
-        assigned = assign(points.take(blank[first]), split=split or STRATIFIED,
-                          fractions=fractions, lines=control == "lines", crs=features.crs, rng=rng)
+        assigned = assign_roles(points.take(blank[first]), split=split or STRATIFIED,
+                                fractions=fractions, lines=control == "lines",
+                                crs=features.crs, rng=rng)
         roles[blank] = np.array(assigned, dtype=object)[group]
     if control == "lines":
         # With lines as the control, control points would be neither fitted nor judged.

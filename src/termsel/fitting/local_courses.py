@@ -297,7 +297,8 @@ class LocalCourses:
         total = np.zeros((len(ground), len(ground)))
         for course in cell.courses:
             columns = cell.columns(course, positions)
-            total += course.covariance(positions, columns, axis, (image - positions)[:, axis])
+            total += course.second_moments(positions, columns, axis,
+                                           (image - positions)[:, axis])
         return total
 
 

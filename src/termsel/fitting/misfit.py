@@ -172,14 +172,17 @@ class Course:
                 + distances**2 @ self.weights[axis]
         return squares
 
-    def covariance(self, places: FloatArray, columns: FloatArray, axis: int,
-                   deviations: FloatArray | float) -> FloatArray:
-        """Return the mean products of which `squares` are the diagonal, (m, m), on one axis.
+    def second_moments(self, places: FloatArray, columns: FloatArray, axis: int,
+                       deviations: FloatArray | float) -> FloatArray:
+        """Return E[(f - d) (f - d)'] times the share, (m, m), on one axis.
 
-        Deviations are (m,).
+        f are field and trend at `places` (m, 2), whose `columns` (m, n + f) these are, and d the
+        `deviations` (m,). The diagonal is that of `squares`, but that variances are not clipped
+        at 0.
         """
         means = columns @ self.means[:, :, axis].T                                      # (m, r)
         distances = means - np.broadcast_to(deviations, len(columns))[:, None]
+        # Prior less explained covariance, and the sum over ratios of w (mean - d) (mean - d)'.
         return np.asarray(
             self.variance[axis] * matern(places, places, self.lengths, self.smoothness)
             - columns @ self.explained[axis] @ columns.T
@@ -270,7 +273,7 @@ class Misfit:
         trend = self._trend(image)
         for course in self.courses:
             columns = course.columns(image, self.positions, trend)
-            total += course.covariance(image, columns, axis, 0.0)
+            total += course.second_moments(image, columns, axis, 0.0)
         return total
 
     def _trend(self, image: FloatArray) -> FloatArray:

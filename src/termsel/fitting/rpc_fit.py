@@ -12,7 +12,7 @@ from termsel.core.errors import TermselError
 from termsel.data.coordinates.crs import WGS84, normalise, to_wgs84
 from termsel.data.coordinates.longitudes import nearest
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points, select
-from termsel.data.fingerprints import made_by
+from termsel.data.fingerprints import with_control_record
 from termsel.data.monomials import RPC00B
 from termsel.data.rpc import N_COEFFICIENTS, Rpc
 from termsel.data.scaling import scaling_of
@@ -111,7 +111,7 @@ def rpc_of(fitted: Fit, heights: tuple[float, float] | None = None) -> RpcFit:
         if best.excluded_part:
             log.warning("Warning: %s. The RPC follows the model in the rest alone.",
                         best.excluded_part)
-    return replace(best, rpc=made_by(best.rpc, fitted.control))
+    return replace(best, rpc=with_control_record(best.rpc, fitted.control))
 
 
 def closest_rpc(fitted: Fit, heights: tuple[float, float] | None = None) -> RpcFit:

@@ -103,8 +103,12 @@ class Dem:
         return np.asarray(inside.all(axis=1))
 
     def extent(self) -> FloatArray:
-        """Return the corners (2, 2) of the raster, the lower-left first, as ground coordinates."""
+        """Return [[least x, least y], [greatest x, greatest y]] of the raster's corners, as ground
+        coordinates.
+        """
         bounds = self.raster.bounds
+        # Of the corners only, whose order or turn in the ground CRS is not known. Between them the
+        # edges of a reprojected raster may bulge: it is enough to say whether two areas meet.
         x, y = self.to_raster.transform([bounds.left, bounds.right, bounds.left, bounds.right],
                                         [bounds.bottom, bounds.bottom, bounds.top, bounds.top],
                                         direction="INVERSE")

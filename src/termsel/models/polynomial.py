@@ -149,14 +149,15 @@ class Helmert2D(SensorModel):
 
     def equations(self, features: FeatureSet) -> Equations:
         """Return the equations of points and of lines, which are exact."""
-        return image_equations(features, self._rows(features.points.ground),
-                               self._rows(features.lines.ground.reshape(-1, 3)), heights=False)
+        return image_equations(features, self._design_rows(features.points.ground),
+                               self._design_rows(features.lines.ground.reshape(-1, 3)),
+                               heights=False)
 
     def project(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
         """Return image positions of ground points (see `SensorModel.project`)."""
-        return np.asarray(np.einsum("nak,...k->...na", self._rows(ground), coefficients))
+        return np.asarray(np.einsum("nak,...k->...na", self._design_rows(ground), coefficients))
 
-    def _rows(self, ground: FloatArray) -> FloatArray:
+    def _design_rows(self, ground: FloatArray) -> FloatArray:
         """Return the rows of line and sample over all terms, shape (n, 2, 4)."""
         x, y = (ground[:, :2] * plane_units(self)).T
         # Where Y already counts downwards its sign is that of the lines.

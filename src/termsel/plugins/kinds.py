@@ -51,21 +51,24 @@ class Kind:
             issubclass(item, base) if isinstance(item, type) else isinstance(item, base))
 
     def require_returned(self, item: Any) -> None:
-        """Refuse as `require_of`, and an instance where classes are wanted, by TypeError."""
+        """Refuse as `require_valid`, and an instance where classes are wanted, by TypeError."""
         if isinstance(item, Configurable):
             raise TypeError(f"returned an object of type {type(item).__name__}, not a subclass of "
                             f"{self.base}; return the class")
-        self.require_of(item)
+        self.require_valid(item)
         if self.must_start:
             item()
 
-    def require_of(self, item: Any) -> None:
-        """Raise TypeError for an item of another kind, without its methods or a usable name."""
+    def require_valid(self, item: Any) -> None:
+        """Raise TypeError for an item of another kind, without its methods or a usable name.
+
+        Also for a class whose attributes are of other types than where termsel declares them.
+        """
         base = self.base_of(item)
-        classes = base is None or issubclass(base, Configurable)
-        expected = f"a subclass of {self.base}" if classes else f"an instance of {self.base}"
+        wants_class = base is None or issubclass(base, Configurable)
+        expected = f"a subclass of {self.base}" if wants_class else f"an instance of {self.base}"
         if isinstance(item, type):
-            if not classes or base is None or not issubclass(item, base):
+            if not wants_class or base is None or not issubclass(item, base):
                 raise TypeError(f"returned the class {item.__name__}, not {expected}")
             if inspect.isabstract(item):
                 missing = ", ".join(sorted(getattr(item, "__abstractmethods__", ())))
@@ -77,23 +80,27 @@ class Kind:
         if not isinstance(name, str) or not _NAME.fullmatch(name):
             raise TypeError(f"returned {cls.__name__} with the name {name!r}; a name is text "
                             "without blanks and colons")
-        if not classes:
-            return
-        # Attributes are compared with the types of their defaults, where termsel declares them.
-        declaring = [base for base in cls.__mro__ if package_of(base) == OWN]
-        for attribute, usual in chain.from_iterable(vars(base).items() for base in declaring):
-            value = getattr(cls, attribute)
-            kind = next((kind for kind in _PLAIN if isinstance(usual, kind)), None)
-            if attribute.startswith("_") or kind is None or isinstance(value, property):
-                continue
-            if not isinstance(value, (list, tuple) if kind is tuple else kind):
-                raise TypeError(f"returned {cls.__name__} with {attribute} = {value!r:.100}, "
-                                f"which is no {kind.__name__}")
-        for attribute, expected_type in (("declared_options", Option), ("segments", type)):
-            for element in getattr(cls, attribute, ()):
-                if not isinstance(element, expected_type):
-                    raise TypeError(f"returned {cls.__name__} with {attribute} that hold "
-                                    f"{element!r:.100}, which is no {expected_type.__name__}")
+        if wants_class:
+            _require_attribute_types(cls)
+
+
+def _require_attribute_types(cls: type) -> None:
+    """Raise TypeError for a class with attributes of other types than those of their defaults."""
+    # Defaults are what termsel's own base classes declare.
+    own_bases = [base for base in cls.__mro__ if package_of(base) == OWN]
+    for attribute, default in chain.from_iterable(vars(base).items() for base in own_bases):
+        value = getattr(cls, attribute)
+        expected_type = next((plain for plain in _PLAIN if isinstance(default, plain)), None)
+        if attribute.startswith("_") or expected_type is None or isinstance(value, property):
+            continue
+        if not isinstance(value, (list, tuple) if expected_type is tuple else expected_type):
+            raise TypeError(f"returned {cls.__name__} with {attribute} = {value!r:.100}, "
+                            f"which is no {expected_type.__name__}")
+    for attribute, element_type in (("declared_options", Option), ("segments", type)):
+        for element in getattr(cls, attribute, ()):
+            if not isinstance(element, element_type):
+                raise TypeError(f"returned {cls.__name__} with {attribute} that hold "
+                                f"{element!r:.100}, which is no {element_type.__name__}")
 
 
 _PLAIN = (bool, int, str, tuple, dict)

@@ -119,9 +119,9 @@ class Registry:
 
     def known(self, kind: str, name: str) -> Any:
         """Return the thing of a kind by its name, as for `get`; None if nothing has the name."""
-        # A built-in thing always has its name, so that no plugin need be imported for it.
-        for names in (built_in(), self):
-            for entry in names.entries(kind):
+        # Built-in things first: no plugin takes a built-in name, nor is one imported to look it up.
+        for source in (built_in(), self):
+            for entry in source.entries(kind):
                 if entry.answers_to(name):
                     return entry.object
         return None
@@ -135,7 +135,7 @@ class Registry:
             return self.get(kind, value)
         try:
             # A class or an object: either is checked as what a hook returns.
-            KINDS[kind].require_of(value)
+            KINDS[kind].require_valid(value)
             if KINDS[kind].must_start and isinstance(value, type):
                 value()
         except TypeError as error:

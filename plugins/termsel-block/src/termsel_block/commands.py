@@ -48,7 +48,7 @@ def block(file: Path, folder: Path | None, overwrite: bool, as_json: bool, verbo
 
     from termsel.toolkit import share_bar, show_messages
     from termsel_block.files.block_file import read_block
-    from termsel_block.files.folders import SUMMARY, claim, write_block
+    from termsel_block.files.folders import SUMMARY, require_free_folder, write_block
     from termsel_block.joint import adjust
     from termsel_block.shown.summary import first_screen, text_of
 
@@ -57,8 +57,8 @@ def block(file: Path, folder: Path | None, overwrite: bool, as_json: bool, verbo
     if folder is None:
         raise TermselError("--out is missing", hint="Give a folder for the block: --out DIR.")
     # Minutes of adjustment are not begun for a folder that cannot be written.
-    claim(folder, [image.name for image in read.images], overwrite=overwrite, reads=[
-        file, *read.files])
+    require_free_folder(folder, [image.name for image in read.images], overwrite=overwrite,
+                        reads=[file, *read.files])
     with share_bar("adjusting", quiet) as progress:
         result = adjust(read, progress=progress)
     with share_bar("writing", quiet) as progress:

@@ -120,7 +120,7 @@ def adjust(block: Block, *, progress: Callable[[float], None] | None = None) -> 
     >>> len(adjusted.block.images)
     3
     """
-    frame = Frame.at(_places(block), block.crs)
+    frame = Frame.at(_frame_positions(block), block.crs)
     result = _adjust_as_stated(block, frame, progress)
     right: set[str] = set()
     freed_blocks: dict[str, BlockResult] = {}
@@ -255,20 +255,21 @@ def _refuse_contradiction(adjusted: Adjusted, inputs: list[ImageInput]) -> None:
                                 "and sample are not exchanged.")
 
 
-def _places(block: Block) -> FloatArray:
-    """Return the ground (n, 3) of control and the middles of RPCs in the CRS of the block.
+def _frame_positions(block: Block) -> FloatArray:
+    """Return the ground positions (n, 3) that the frame is laid through, in the block's CRS.
 
-    Raises TermselError if there is neither.
+    They are those of all points, whatever their role, of the ends of lines and of the middles of
+    RPCs. Raises TermselError if no image has control in use or an RPC.
     """
     from termsel.toolkit.coordinates import transformation
 
-    grounds = [image.features.points.ground for image in block.images if image.features is not None]
-    grounds += [image.features.lines.ground.reshape(-1, 3) for image in block.images
-            if image.features is not None]
+    features_of_images = [image.features for image in block.images if image.features is not None]
+    grounds = [features.points.ground for features in features_of_images]
+    grounds += [features.lines.ground.reshape(-1, 3) for features in features_of_images]
     ground = np.concatenate([np.empty((0, 3)), *grounds])
     # Independent points alone hold nothing, though their positions are known.
-    has_control = any(image.features is not None and (
-        len(in_use(image.features)) or len(image.features.lines)) for image in block.images)
+    has_control = any(len(in_use(features)) or len(features.lines)
+                      for features in features_of_images)
     rpcs = [image.rpc.ground_offset for image in block.images if image.rpc is not None]
     if rpcs:
         ground = np.concatenate([ground, transformation("EPSG:4979", block.crs)(np.array(rpcs))])

@@ -297,24 +297,27 @@ def _points(sensor: Pushbroom, known: tuple[FloatArray, BoolArray, BoolArray], n
                       "control" if is_control[k] else "independent" for k in rows))
 
 
-def _vendor_rpc(sensor: Pushbroom, bias: float, drift: float, size: int, off: float,
+def _vendor_rpc(sensor: Pushbroom, bias: float, drift: float, size: int, height_offset: float,
                 rng: np.random.Generator) -> Rpc:
     """Return the RPC of a scanner with errors of attitude, as its vendor makes it.
 
     `bias` and `drift` are the standard deviations of the errors [px], the latter at the end of the
-    image; `off` is by how much its heights are off [m].
+    image of `size` lines and samples. `height_offset` is the mean height of the ground that the
+    vendor assumes, less the true one [m]: it moves the heights that the RPC is fitted at.
     """
     end = size * sensor.line_period / 2
 
-    def wrong(angle: Angle) -> Angle:
+    def with_errors(angle: Angle) -> Angle:
+        # Shift, drift and bend: the attitude of a scene is quadratic in time.
         values = (*angle.drift, 0.0, 0.0, 0.0)[:3]
         return Angle((values[0] + rng.normal(0, bias) * sensor.ifov,
                       values[1] + rng.normal(0, drift) * sensor.ifov / end, values[2]))
 
-    wrong_sensor = replace(sensor, roll=wrong(sensor.roll), pitch=wrong(sensor.pitch))
-    # A vendor fits its RPC to a grid in the image at several heights.
+    wrong_sensor = replace(sensor, roll=with_errors(sensor.roll), pitch=with_errors(sensor.pitch))
+    # A vendor fits its RPC to a grid in the image at several heights: 13 x 13 x 5 positions,
+    # over 400 m above and below the mean. Hills of relief 1 are 280 m high at most.
     steps = np.linspace(0, size - 1, 13)
-    heights = _MEAN + off + np.linspace(-400, 400, 5)
+    heights = _MEAN + height_offset + np.linspace(-400, 400, 5)
     grid = np.stack(np.meshgrid(steps, steps, heights), axis=-1).reshape(-1, 3)
     ground = np.column_stack([wrong_sensor.locate(grid[:, :2], grid[:, 2]), grid[:, 2]])
     points = Points(tuple(map(str, range(len(grid)))), grid[:, :2], ground)

@@ -62,10 +62,12 @@ def evidence_of(forms: Bidiagonal, targets: FloatArray,
                 sizes: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return log factors, (g, s), and sums of squares, (a, g, s), of the solutions of all sizes.
 
-    The logarithm is that of |I + s^2 M M'|^-1/2, the sum y' (I + s^2 M M')^-1 y of targets (m, a).
+    Of g forms and s sizes. The logarithm is that of |I + s^2 M M'|^-1/2, the sum
+    y' (I + s^2 M M')^-1 y of each of the a columns of `targets` (m, a).
     """
     _, count = forms.diagonal.shape
-    along = np.ascontiguousarray((forms.rotation @ targets).transpose(2, 1, 0))       # (a, m, g)
+    # (a, m, g): U'y, the targets along the columns of U.
+    along = np.ascontiguousarray((forms.rotation @ targets).transpose(2, 1, 0))
     logs = np.zeros((len(sizes), count))
     squares = np.zeros((len(sizes), len(along), count))
     _add_evidence(forms.diagonal, forms.below, along, sizes**2, logs, squares,
@@ -74,7 +76,10 @@ def evidence_of(forms: Bidiagonal, targets: FloatArray,
 
 
 class BidiagonalSolutions:
-    """What u solutions leave, each with a form and the square of a size, (u,)."""
+    """Residuals and redundancies of u solutions.
+
+    Each is of one of the forms, by its number in `form` (u,), and of one s^2 of `squared_sizes`.
+    """
 
     def __init__(self, forms: Bidiagonal, form: IntArray, squared_sizes: FloatArray) -> None:
         self._rotation = forms.rotation
@@ -87,7 +92,7 @@ class BidiagonalSolutions:
 
     def residuals(self, target: FloatArray) -> FloatArray:
         """Return the residuals of every solution for a target (m,), shape (u, m)."""
-        along = (self._rotation @ target).T.take(self._form, axis=1)                    # (m, u)
+        along = (self._rotation @ target).T.take(self._form, axis=1)              # (m, u): U'y
         residuals = np.zeros((len(self._form), len(target)))
         _add_shrunken_residuals(self._root, self._upper, along, self._rotation, self._form,
                                 residuals)
@@ -96,22 +101,23 @@ class BidiagonalSolutions:
     def redundancies(self, directions: FloatArray) -> FloatArray:
         """Return b' (I + s^2 M M')^-1 b of directions b, (m, n), shape (u, n)."""
         n = directions.shape[1]
-        redundancies = np.empty((len(self._form), n))
+        quadratic_forms = np.empty((len(self._form), n))
         for start in range(0, n, POINTS_AT_ONCE):
-            part = slice(start, min(start + POINTS_AT_ONCE, n))
-            along = self._rotation @ directions[:, part]
-            squares = np.zeros((len(self._form), along.shape[2]))
-            _add_redundancies(self._root, self._upper, along, self._form, squares,
-                              np.empty(along.shape[2]))
-            redundancies[:, part] = squares
-        return redundancies
+            points = slice(start, min(start + POINTS_AT_ONCE, n))
+            along = self._rotation @ directions[:, points]                    # (g, m, points): U'b
+            sums = np.zeros((len(self._form), along.shape[2]))
+            z = np.empty(along.shape[2])  # scratch: R'z = U'b, whose |z|^2 is the form
+            _add_redundancies(self._root, self._upper, along, self._form, sums, z)
+            quadratic_forms[:, points] = sums
+        return quadratic_forms
 
 
 @_compiled
 def eliminate(systems: FloatArray, count: int) -> None:
-    """Eliminate the first rows of l symmetric matrices, (p, l): lower triangles, row by row.
+    """Eliminate the first `count` rows of symmetric matrices, in place.
 
-    In place: on the diagonal stand the pivots, and behind these rows what is left of the others.
+    `systems` (p, l) has the p entries of the lower triangles of l matrices, row by row. On the
+    diagonal stand the pivots afterwards, and behind the eliminated rows the Schur complements.
     """
     size = 0
     while size * (size + 1) // 2 < len(systems):
@@ -139,7 +145,7 @@ def _subtract_products(x: FloatArray, y: FloatArray, target: FloatArray) -> None
 
 @_compiled
 def _sum_squares(rows: FloatArray, first: int, step: int, count: int, total: FloatArray) -> None:
-    """Sum the squares of some rows (., g)."""
+    """Sum the squares of `count` rows (., g), each `step`-th from `first` on, into `total` (g,)."""
     total[:] = 0.0
     for i in range(count):
         x = rows[first + i * step]
@@ -150,7 +156,12 @@ def _sum_squares(rows: FloatArray, first: int, step: int, count: int, total: Flo
 @_compiled
 def _reflect(vectors: FloatArray, first: int, step: int, factor: FloatArray, rows: FloatArray,
              first_row: int, row_step: int, count: int, total: FloatArray) -> None:
-    """Apply reflections I - factor v v' to some rows (., g); v are rows of `vectors`."""
+    """Apply reflections I - factor v v', one for each of g matrices, to `count` entries in place.
+
+    The entries of v are every `step`-th row (g,) of `vectors` from `first` on, and those that are
+    reflected every `row_step`-th of `rows` from `first_row` on. `factor` (g,); `total` (g,) is
+    scratch.
+    """
     total[:] = 0.0
     for i in range(count):
         v = vectors[first + i * step]
@@ -169,10 +180,12 @@ def _reflect(vectors: FloatArray, first: int, step: int, factor: FloatArray, row
 @_compiled
 def _make_reflection(head: FloatArray, squares: FloatArray, factor: FloatArray,
                      image: FloatArray) -> None:
-    """Turn the head of vectors into that of the vectors v of reflections I - factor v v'.
+    """Make the reflections I - factor v v' that bring g vectors into their first direction.
 
-    They bring the vectors, of which the sums of squares are known, into their first direction,
-    where `image` is all that is left of them. The sign is such that nothing cancels.
+    `head` (g,), the first entries of the vectors, become those of v; the others are the same.
+    `squares` (g,) are the sums of squares of the vectors. Filled in are `factor` (g,), and `image`
+    (g,), the only entry of each reflected vector that is not 0, of such a sign that nothing
+    cancels.
     """
     for lane in range(len(head)):
         length = np.sqrt(squares[lane])
@@ -184,9 +197,11 @@ def _make_reflection(head: FloatArray, squares: FloatArray, factor: FloatArray,
 @_compiled
 def _bidiagonalise(matrices: FloatArray, rotation: FloatArray, diagonal: FloatArray,
                    below: FloatArray, work: FloatArray) -> None:
-    """Bring matrices (m, k, g) into bidiagonal form; U' is applied to columns (c, m, g).
+    """Bring g matrices (m, k, g), which are overwritten, into bidiagonal form.
 
-    Reflections of columns and of rows alternate, and keep each other's zeros.
+    Filled in are `diagonal` and `below` (m, g). U' is applied to the c columns of `rotation`
+    (c, m, g), in place; `work` (2, g) is scratch. Reflections of columns and of rows alternate, and
+    keep each other's zeros.
     """
     m, k, lanes = matrices.shape
     entries = matrices.reshape(m * k, lanes)  # row by row
@@ -214,7 +229,11 @@ def _bidiagonalise(matrices: FloatArray, rotation: FloatArray, diagonal: FloatAr
 def _add_evidence(diagonal: FloatArray, below: FloatArray, along: FloatArray,
                   squared_sizes: FloatArray, logs: FloatArray, squares: FloatArray,
                   work: FloatArray, solved: FloatArray) -> None:
-    """Add logarithms, (s, g), and sums of squares, (s, a, g), of forms (m, g)."""
+    """Add to `logs` (s, g) and `squares` (s, a, g) those of `evidence_of`.
+
+    `diagonal` and `below` (m, g) are of the forms, `along` (a, m, g) is U'y, `squared_sizes` (s,)
+    are s^2; `work` (4, g) and `solved` (a, g) are scratch.
+    """
     m, count = diagonal.shape
     rest, root, upper, product = work
     for size in range(len(squared_sizes)):
@@ -250,7 +269,10 @@ def _add_evidence(diagonal: FloatArray, below: FloatArray, along: FloatArray,
 def _fill_factors(diagonal: FloatArray, below: FloatArray, squared_sizes: FloatArray,
                   root: FloatArray, upper: FloatArray, traces: FloatArray,
                   rest: FloatArray) -> None:
-    """Fill in R, (m, u), and the traces of the inverses of R'R, (u,)."""
+    """Fill in R, as `root` (its diagonal) and `upper` (m, u), and traces (u,) of (R'R)^-1.
+
+    `diagonal` and `below` (m, u) are of each solution's form; `rest` (u,) is scratch.
+    """
     m, count = diagonal.shape
     rest[:] = 1.0
     for i in range(m):
@@ -274,16 +296,20 @@ def _fill_factors(diagonal: FloatArray, below: FloatArray, squared_sizes: FloatA
 def _add_shrunken_residuals(root: FloatArray, upper: FloatArray, along: FloatArray,
                             rotation: FloatArray,
                             form: IntArray, residuals: FloatArray) -> None:
-    """Add U w, R'R w = U'y; U'y, (m, u), is overwritten by w."""
+    """Add U w, where R'R w = U'y, to `residuals` (u, m).
+
+    R is `root` (its diagonal) and `upper` (m, u); `along` (m, u) is U'y and is overwritten by w;
+    `rotation` (g, m, m) is U', and `form` (u,) the number of each solution's form in it.
+    """
     m, count = root.shape
     for i in range(m):
         for u in range(count):
-            known = upper[i - 1, u] * along[i - 1, u] if i > 0 else 0.0
-            along[i, u] = (along[i, u] - known) / root[i, u]
+            solved = upper[i - 1, u] * along[i - 1, u] if i > 0 else 0.0
+            along[i, u] = (along[i, u] - solved) / root[i, u]
     for i in range(m - 1, -1, -1):
         for u in range(count):
-            known = upper[i, u] * along[i + 1, u] if i + 1 < m else 0.0
-            along[i, u] = (along[i, u] - known) / root[i, u]
+            solved = upper[i, u] * along[i + 1, u] if i + 1 < m else 0.0
+            along[i, u] = (along[i, u] - solved) / root[i, u]
     for u in range(count):
         for i in range(m):
             for c in range(m):
@@ -293,7 +319,11 @@ def _add_shrunken_residuals(root: FloatArray, upper: FloatArray, along: FloatArr
 @_compiled
 def _add_redundancies(root: FloatArray, upper: FloatArray, along: FloatArray, form: IntArray,
                       redundancies: FloatArray, z: FloatArray) -> None:
-    """Add the squares of z, R'z = U'b, of b (g, m, n)."""
+    """Add |z|^2, where R'z = U'b, to `redundancies` (u, n) of n directions b.
+
+    R is `root` (its diagonal) and `upper` (m, u); `along` (g, m, n) is U'b of all forms, `form`
+    (u,) the number of each solution's form in it; `z` (n,) is scratch.
+    """
     m = len(root)
     for u in range(len(form)):
         total = redundancies[u]

@@ -329,15 +329,16 @@ class _Chain:
             require_regular(path.parent / entry, self.start)
 
     def _require_auxiliary_xml(self, path: Path, depth: int) -> None:
-        """Require the files that an .aux.xml names; nothing if it cannot be read or is empty."""
+        """Require the files that an .aux.xml names; none if it cannot be read or is empty."""
         try:
             with path.open("rb") as file:
                 content = file.read(_LARGEST_XML + 1)
-        except OSError:
+        except OSError:  # then GDAL cannot read it either
             return
+        # An empty one is no XML, and names nothing that GDAL could open.
         if content.strip():
             self._require_named_in_text(self._decode_xml(content, str(path)), str(path.parent),
-                                        depth, "")
+                                        depth, expected="")
 
     def _decode_xml(self, content: bytes, name: str) -> str:
         """Return the text of XML, which has to be UTF-8 and not too long."""
@@ -392,7 +393,7 @@ class _Chain:
                 folder = str(PurePosixPath(f"{prefix}/{other_member}").parent)
                 if content.strip():
                     self._require_named_in_text(self._decode_xml(content, str(other_member)),
-                                                folder, depth, "")
+                                                folder, depth, expected="")
 
     def _require_named_in_text(self, text: str, folder: str, depth: int,
                                expected: str = "vrtdataset") -> int:

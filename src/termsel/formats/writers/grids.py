@@ -63,7 +63,7 @@ class GridWriter(Writer):
             say_difference(result.features, result.project, surface)
             ground = ground_where_held(fitted, image.reshape(-1, 2), surface)
             ground = ground.reshape(*image.shape[:2], 3)
-            self.say_loss(fitted, image, ground, surface)
+            self.log_interpolation_error(fitted, image, ground, surface)
         unseen = int(np.isnan(ground).any(axis=-1).sum())
         if unseen > image[..., 0].size - 3:
             place = place_of(fitted.control)
@@ -80,8 +80,8 @@ class GridWriter(Writer):
         return ground
 
     @abstractmethod
-    def say_loss(self, fitted: Fit, image: FloatArray, ground: FloatArray,
-                 surface: Dem | float) -> None:
+    def log_interpolation_error(self, fitted: Fit, image: FloatArray, ground: FloatArray,
+                                surface: Dem | float) -> None:
         """Log how far what GDAL makes of the grid is from the model between its places.
 
         `image` is (lines, samples, 2), `ground` (lines, samples, 3), `surface` the ground.
@@ -120,8 +120,8 @@ class GcpGridVrt(GridWriter):
                       ground[nodes[:, 0], nodes[:, 1]])
         write_text(path, vrt_text(picture, path.parent, gcps=gcps, crs=crs))
 
-    def say_loss(self, fitted: Fit, image: FloatArray, ground: FloatArray,
-                 surface: Dem | float) -> None:
+    def log_interpolation_error(self, fitted: Fit, image: FloatArray, ground: FloatArray,
+                                surface: Dem | float) -> None:
         """Log how far GDAL's thin plate spline through the grid is from the model."""
         finite = np.isfinite(ground).all(axis=-1)
         if finite.sum() < 3:
@@ -189,16 +189,20 @@ class GeolocationVrt(GridWriter):
             with suppress(OSError):  # the new VRT is right without that
                 other_array.unlink()
 
-    def say_loss(self, fitted: Fit, image: FloatArray, ground: FloatArray,
-                 surface: Dem | float) -> None:
+    def log_interpolation_error(self, fitted: Fit, image: FloatArray, ground: FloatArray,
+                                surface: Dem | float) -> None:
         """Log how far GDAL's interpolation between the nodes of the array is from the model."""
-        between = _middles(ground)
+        ground_between = _middles(ground)
         image_between = _middles(image)
-        finite = np.isfinite(between).all(axis=1)
-        between = between[finite]
+        # Middles next to a node without ground have none.
+        finite = np.isfinite(ground_between).all(axis=1)
+        ground_between = ground_between[finite]
         image_between = image_between[finite]
-        between[:, 2] = surface(between[:, :2]) if isinstance(surface, Dem) else surface
-        say_deviation(self.name, fitted, between, image_between, ", between the nodes of the array")
+        # The surface there is not the mean of the four corners.
+        ground_between[:, 2] = (surface(ground_between[:, :2]) if isinstance(surface, Dem)
+                                else surface)
+        say_deviation(self.name, fitted, ground_between, image_between,
+                      ", between the nodes of the array")
 
 
 def _arrays(path: Path) -> tuple[Path, Path]:

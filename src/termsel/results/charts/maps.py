@@ -165,7 +165,8 @@ def image_map(view: View, image: str = "", rows: list[Row] | None = None,
                 strokeDash=alt.condition("datum.blunder", alt.value([4, 3]),
                                          alt.value([1, 0])),
                 tooltip=[alt.Tooltip("id:N", title="line")], **ends))
-    layers += _arrows(view, rows, x, y, ("ds", "dl"), extent, downwards=True, member=member)
+    layers += _residual_layers(view, rows, x, y, ("ds", "dl"), extent, downwards=True,
+                               member=member)
     wide = max(right_sample - left_sample, 1.0)
     length = nice(0.2 * wide / extent.scale)  # a pixel may be wider than the map
     length = 1.0 if length > 1 and extent.scale > 0.02 * wide else length  # or too short to be seen
@@ -185,9 +186,9 @@ def ground_map(view: View) -> Any:
               scale=alt.Scale(domain=list(extent.x), nice=False, zero=False))
     y = alt.Y("y:Q", title=of_y, axis=alt.Axis(grid=False, tickCount=6),
               scale=alt.Scale(domain=list(extent.y), nice=False, zero=False))
-    layers = _arrows(view, rows, x, y, ("dx", "dy"), extent, downwards=False,
-                     # Without metres the length of the arrows has no scale.
-                     metres=view.units_per_metre is not None, flat=view.flattening)
+    layers = _residual_layers(view, rows, x, y, ("dx", "dy"), extent, downwards=False,
+                              # Without metres the length of the arrows has no scale.
+                              metres=view.units_per_metre is not None, flattening=view.flattening)
     if view.units_per_metre is not None:
         metre = view.units_per_metre / view.flattening
         length = nice(0.2 * max(east - west, 1e-9) / (extent.scale * metre))
@@ -234,10 +235,31 @@ def _map(layers: list[Any], aspect: float) -> Any:
                                                       height=round(wide / aspect))
 
 
-def _arrows(view: View, rows: list[Row], x: Any, y: Any, vector: tuple[str, str],
-            extent: Extent, *, downwards: bool, metres: bool = False, flat: float = 1.0,
-            member: Any = None) -> list[Any]:
-    """Return the layers of arrows with a scale to drag, of symbols, of rings and of a choice."""
+def _residual_layers(view: View, rows: list[Row], x: Any, y: Any, vector: tuple[str, str],
+                     extent: Extent, *, downwards: bool, metres: bool = False,
+                     flattening: float = 1.0, member: Any = None) -> list[Any]:
+    """Return the layers of residuals: their arrows, symbols of points and lines, and rings.
+
+    Parameters
+    ----------
+    view : View
+    rows : list of dict
+        The residuals, each with its position and vector.
+    x, y : altair.X, altair.Y
+        The axes, whose fields are the positions.
+    vector : tuple of str
+        The fields of a residual along x and along y.
+    extent : Extent
+        What the map shows, and how many times their true length arrows are drawn at first.
+    downwards : bool
+        Whether y grows downwards, as lines do.
+    metres : bool
+        Whether rows have a field with the residual on the ground [m].
+    flattening : float
+        Length of a unit of x by that of y (`View.flattening`).
+    member : altair.Parameter, optional
+        The choice of the member of a front whose residuals are drawn.
+    """
     alt = require_altair()
     horizontal, vertical = vector
     # Channels are written "field:type".
@@ -248,25 +270,17 @@ def _arrows(view: View, rows: list[Row], x: Any, y: Any, vector: tuple[str, str]
     picked = alt.selection_point(name="picked", fields=["id"], empty=False)
     base = alt.Chart(chart_rows(rows))
     if member is not None:
-        # The data of the page hold the residuals of all members, and the browser takes those of the
-        # choice.
-        number = "(member.member ? member.member[0] : 0)"
-        base = base.transform_calculate(
-            dl=f"{view.unit:g} * datum.dls[{number}]", ds=f"{view.unit:g} * datum.dss[{number}]",
-        ).transform_calculate(
-            distance="sqrt(datum.dl * datum.dl + datum.ds * datum.ds)",
-            role=f"datum.role != 'control' && datum.role != 'left out' ? datum.role : "
-                 f"datum.uses[{number}] ? 'control' : 'left out'")
+        base = _of_member(base, view)
     base = base.transform_calculate(
         # The share of an arrow that lies within the map.
         drawn=f"max(0, min(1, {_to_rim(at_x, horizontal, extent.x)}, "
               f"{_to_rim(at_y, vertical, extent.y)}))",
     ).transform_calculate(
         end_x=f"datum.{at_x} + datum.drawn * exaggeration * datum.{horizontal}",
-        # The angle of the wedge, clockwise from upwards, as Vega measures it.
         end_y=f"datum.{at_y} + datum.drawn * exaggeration * datum.{vertical}",
-        turn=f"atan2({flat:.6g} * datum.{horizontal}, {'-' if downwards else ''}datum.{vertical})"
-             " * 180 / PI")
+        # The angle of the wedge, clockwise from upwards, as Vega measures it.
+        turn=f"atan2({flattening:.6g} * datum.{horizontal}, "
+             f"{'-' if downwards else ''}datum.{vertical}) * 180 / PI")
     colour = _colour(view, rows)
     tooltip = [alt.Tooltip("id:N"), alt.Tooltip("role:N"),
                alt.Tooltip("distance:Q", title="residual [px]", format=".3g")]
@@ -274,35 +288,43 @@ def _arrows(view: View, rows: list[Row], x: Any, y: Any, vector: tuple[str, str]
         tooltip.append(alt.Tooltip("metres:Q", title="on the ground [m]", format=".3g"))
     shape = alt.Shape("role:N", scale=legend_of(ROLE_SHAPES, _roles(view, rows)),
                       legend=role_legend())
-    # From below to above: arrows, rings of blunders and of the choice, points, lines.
-    layers = [
-        base.mark_rule(strokeWidth=1.5, clip=True, aria=False).encode(
-            x=x, y=y, x2="end_x:Q", y2="end_y:Q", color=colour,
-            strokeDash=alt.condition("datum.drawn < 1", alt.value([5, 3]), alt.value([]))),
-        base.mark_point(shape="wedge", filled=True, size=110, opacity=1,
-                        aria=False).encode(
-            x=_with_field(x, "end_x"), y=_with_field(y, "end_y"), color=colour,
-            angle=alt.Angle("turn:Q", scale=None)),
-        base.transform_filter("datum.blunder").mark_point(
-            size=230, filled=False, stroke=BLUNDER, strokeWidth=1.8, opacity=1,
-            aria=False).encode(x=x, y=y),
-        base.transform_filter(picked).mark_point(
-            size=420, filled=False, stroke=INK, strokeWidth=2.6, opacity=1,
-            aria=False).encode(x=x, y=y),
-        base.transform_filter("datum.kind == 'point'").mark_point(
-            filled=True, size=44, opacity=1, stroke=GROUND, strokeWidth=0.6, cursor="pointer",
-        ).encode(x=x, y=y, color=colour, shape=shape, tooltip=tooltip),
-    ]
+    shafts = base.mark_rule(strokeWidth=1.5, clip=True, aria=False).encode(
+        x=x, y=y, x2="end_x:Q", y2="end_y:Q", color=colour,
+        strokeDash=alt.condition("datum.drawn < 1", alt.value([5, 3]), alt.value([])))
+    heads = base.mark_point(shape="wedge", filled=True, size=110, opacity=1, aria=False).encode(
+        x=_with_field(x, "end_x"), y=_with_field(y, "end_y"), color=colour,
+        angle=alt.Angle("turn:Q", scale=None))
+    blunder_rings = base.transform_filter("datum.blunder").mark_point(
+        size=230, filled=False, stroke=BLUNDER, strokeWidth=1.8, opacity=1,
+        aria=False).encode(x=x, y=y)
+    picked_ring = base.transform_filter(picked).mark_point(
+        size=420, filled=False, stroke=INK, strokeWidth=2.6, opacity=1, aria=False).encode(x=x, y=y)
+    symbols = [base.transform_filter("datum.kind == 'point'").mark_point(
+        filled=True, size=44, opacity=1, stroke=GROUND, strokeWidth=0.6, cursor="pointer",
+        ).encode(x=x, y=y, color=colour, shape=shape, tooltip=tooltip)]
     if view.lines:
-        layers.append(base.transform_filter("datum.kind == 'line'").mark_point(
+        symbols.append(base.transform_filter("datum.kind == 'line'").mark_point(
             filled=True, size=14, opacity=1, cursor="pointer").encode(
                 x=x, y=y, color=colour, tooltip=tooltip))
-    # Parameters belong to one layer each; the last one is what can be clicked.
-    layers[-1] = layers[-1].add_params(picked)
+    # Parameters belong to one layer each; those of clicks to the uppermost, which is hit.
+    symbols[-1] = symbols[-1].add_params(picked)
     if member is not None:
-        layers[-1] = layers[-1].add_params(member)
-    layers[0] = layers[0].add_params(drag)
-    return layers
+        symbols[-1] = symbols[-1].add_params(member)
+    # From below to above.
+    return [shafts.add_params(drag), heads, blunder_rings, picked_ring, *symbols]
+
+
+def _of_member(base: Any, view: View) -> Any:
+    """Return a chart whose rows have the residuals and roles of the member that is chosen."""
+    # The data of the page hold the residuals of all members, and the browser takes those of the
+    # choice.
+    number = "(member.member ? member.member[0] : 0)"
+    return base.transform_calculate(
+        dl=f"{view.unit:g} * datum.dls[{number}]", ds=f"{view.unit:g} * datum.dss[{number}]",
+    ).transform_calculate(
+        distance="sqrt(datum.dl * datum.dl + datum.ds * datum.ds)",
+        role=f"datum.role != 'control' && datum.role != 'left out' ? datum.role : "
+             f"datum.uses[{number}] ? 'control' : 'left out'")
 
 
 def _to_rim(position: str, component: str, domain: tuple[float, float]) -> str:

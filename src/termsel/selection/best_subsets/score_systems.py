@@ -283,17 +283,18 @@ class ScoreSystems:
 
     def _score_of_used_columns(self, node: SubtreeNode, vectors: Vectors, limits: Limits) -> float:
         """Return the score of the columns in use alone; infinite with a denominator too small."""
-        errors = vectors.extra[0, 0]
-        n = len(node.candidates)
+        # Row n is the target: the errors of the check points without more columns, and (rational)
+        # behind them what is left of 0 less the denominators, so that their sign is turned.
+        target = vectors.extra[0, 0, len(node.candidates)]
         if self.kind == RATIONAL:
-            check_points = errors.shape[1] // 2
-            denominators = -errors[n, check_points:]
+            n_check = len(target) // 2
+            denominators = -target[n_check:]
         else:
-            check_points = errors.shape[1]
-            denominators = np.ones(check_points)
+            n_check = len(target)
+            denominators = np.ones(n_check)
         if (denominators < self.margin).any():
             return np.inf
-        return limits.offset + float(((errors[n, :check_points] / denominators) ** 2).sum())
+        return limits.offset + float(((target[:n_check] / denominators) ** 2).sum())
 
     def _space(self, vectors: Vectors) -> CheckSpace:
         """Return the work space of vectors at check points."""

@@ -145,10 +145,11 @@ class _Incumbents:
 
     def __init__(self, systems: ScoreSystems) -> None:
         self.systems = systems
+        # (k + 1,) each: the least score of a size, and its columns (bit j: column j).
         self.best, self.masks = _no_subsets(systems.k)
         self.closed_sizes = 0  # all subsets with fewer columns are decided
-        self.scored = 0
-        self.pruned = 0
+        self.scored = 0  # subsets that are decided by their scores
+        self.pruned = 0  # subsets that are decided by a bound
 
     def replace(self, result: NodeResult) -> None:
         """Take the best subsets of a walk that started from these, and so are no worse."""

@@ -158,7 +158,7 @@ def _image_of(kind: str, rng: Generator, ranges: Ranges, count: int,
     scene = (lon, lat, relief)
     if kind in ("frame", "panoramic"):
         local = (to_ecef(ground) - middle) @ axes.T
-        image = _photo(kind, rng, (lines, samples), pixel, local)
+        image = _photo_positions(kind, rng, (lines, samples), pixel, local)
     elif kind == "radar":
         image = _radar(rng, ranges, (lines, samples), pixel, scene, ground)
     else:
@@ -196,8 +196,8 @@ def _scanner(kind: str, rng: Generator, ranges: Ranges, size: tuple[int, int], p
     if kind in ("steady", "cubesat"):
         # What attitude moves the image by at its end [px].
         large = (2.0, 1.0, 0.3) if kind == "steady" else (40.0, 12.0, 4.0)
-        angles = [_jittering(rng, sensor.ifov, half, large, (half / 2, 0.15 if kind == "steady"
-                                                             else 1.0), lever)
+        jitter = (half / 2, 0.15 if kind == "steady" else 1.0)
+        angles = [_random_angle(rng, sensor.ifov, half, large, jitter, lever)
                   for lever in (1.0, 1.0, 2.0 / size[1])]
         return _sensor_with_angles(sensor, angles)
     course = rng.uniform(0.0, 2 * np.pi) if kind == "airborne" or rng.random() < 0.6 else np.pi
@@ -214,15 +214,17 @@ def _scanner(kind: str, rng: Generator, ranges: Ranges, size: tuple[int, int], p
         "course": tuple(ahead), "speed": speed, "refraction": False}
     if kind == "airborne":
         above = size[1] * pixel / 2 / np.tan(rng.uniform(0.25, 0.5))
-        sway = tuple(_jittering(rng, 1.0, half, (0.0, 3.0, 1.0), (6.0, 1.0), 1.0) for _ in range(3))
-        angles = [_jittering(rng, pixel / above, half, (20.0, 10.0, 5.0), (5.0, 4.0), lever)
+        # Shifts [m] instead of angles: along the course, across it and up.
+        sway = tuple(_random_angle(rng, 1.0, half, (0.0, 3.0, 1.0), (6.0, 1.0), 1.0)
+                     for _ in range(3))
+        angles = [_random_angle(rng, pixel / above, half, (20.0, 10.0, 5.0), (5.0, 4.0), lever)
                   for lever in (1.0, 1.0, 2.0 / size[1])]
         return Flying(altitude=above, ifov=pixel / above, roll=angles[0], pitch=angles[1],
                       yaw=angles[2], sway=sway, **common)
     station = sensor.exposure(np.zeros(1))[0][0]
     ray = station - middle
     distance = float(np.linalg.norm(ray))
-    angles = [_jittering(rng, pixel / distance, half, (2.0, 1.0, 0.3), (half / 2, 0.15), lever)
+    angles = [_random_angle(rng, pixel / distance, half, (2.0, 1.0, 0.3), (half / 2, 0.15), lever)
               for lever in (1.0, 1.0, 2.0 / size[1])]
     return Turning(altitude=altitude, ifov=pixel / distance, roll=angles[0], pitch=angles[1],
                    yaw=angles[2], **common)
@@ -253,11 +255,13 @@ def _radar(rng: Generator, ranges: Ranges, size: tuple[int, int], pixel: float,
     return np.asarray(positions + np.array(size) / 2)
 
 
-def _photo(kind: str, rng: Generator, size: tuple[int, int], pixel: float,
-           local: FloatArray) -> FloatArray:
-    """Return where a frame or panoramic camera sees places (n, 3) [m]: line and sample (n, 2).
+def _photo_positions(kind: str, rng: Generator, size: tuple[int, int], pixel: float,
+                     local: FloatArray) -> FloatArray:
+    """Return where a frame or panoramic camera sees places: line and sample (n, 2).
 
-    Film and scan deform a little.
+    `local` (n, 3) are east, north and up of the places, from the middle of the scene [m], and
+    `pixel` is the size of a pixel on the ground there [m]; `size` are lines and samples. The film
+    deforms, and its middle is some 20 px off that of the scan.
     """
     extent = pixel * max(size)
     above = extent / (2 * np.tan(rng.uniform(0.2, 0.7)))
@@ -265,31 +269,47 @@ def _photo(kind: str, rng: Generator, size: tuple[int, int], pixel: float,
     focal = above / pixel
     roll, pitch = rng.normal(0.0, 0.03, (2, 1))
     turned = _rotations(roll, pitch, np.array([rng.uniform(-np.pi, np.pi)]))[0]
+    # In the camera's axes z points up, so that it is negative below the camera.
     x, y, z = ((local - [0.0, 0.0, above]) @ turned).T
     if kind == "frame":
-        ideal = focal * np.column_stack([y / z, -x / z])
+        image = focal * np.column_stack([y / z, -x / z])
         # Film and lens deform by a few px towards the corners.
-        radius = np.linalg.norm(ideal, axis=1, keepdims=True) / (max(size) / 2)
-        ideal *= 1.0 + rng.normal(0.0, 3.0 / max(size)) * radius**2
+        radius = np.linalg.norm(image, axis=1, keepdims=True) / (max(size) / 2)
+        image *= 1.0 + rng.normal(0.0, 3.0 / max(size)) * radius**2
     else:
-        # Across; the film is a cylinder.
+        # The lens sweeps across, and the film is a cylinder.
         angle = np.arctan2(x, -z)
-        motion = rng.normal(0.0, 0.01) * focal * np.sin(angle)
-        ideal = focal * np.column_stack([y / np.hypot(x, z) + 0.0, angle])
-        ideal[:, 0] += motion
-    return np.asarray(ideal + np.array(size) / 2 + rng.normal(0.0, 20.0, 2))
+        image = focal * np.column_stack([y / np.hypot(x, z), angle])
+        # The camera moves on during the sweep, by about a hundredth of the focal length.
+        image[:, 0] += rng.normal(0.0, 0.01) * focal * np.sin(angle)
+    return np.asarray(image + np.array(size) / 2 + rng.normal(0.0, 20.0, 2))
 
 
-def _jittering(rng: Generator, unit: float, half: float, drift: tuple[float, ...],
-               jitter: tuple[float, float], lever: float) -> Angle:
-    """Return an angle with drift, by powers of time at the scene's end, and one sine.
+def _random_angle(rng: Generator, unit: float, half: float, drift: tuple[float, ...],
+                  jitter: tuple[float, float], lever: float) -> Angle:
+    """Return a random angle of attitude: a polynomial in time, 0 at the middle, and one sine.
 
-    `unit` is the angle of 1 px, `half` half the duration [s], `jitter` the sine's period [s] and
-    size.
+    Parameters
+    ----------
+    rng : Generator
+    unit : float
+        What moves the image by 1 px: an angle [rad]; 1 for sizes in its own unit.
+    half : float
+        Half the duration of the scene [s]: time counts from its middle.
+    drift : tuple of float
+        Standard deviations of the terms t, t^2, ... at the end of the scene, in units.
+    jitter : tuple of 2 float
+        Period [s] of the sine, and its amplitude in units.
+    lever : float
+        Factor of all sizes: 1 for roll and pitch, 2 / width for yaw.
     """
-    return Angle((0.0, *(unit * lever * rng.normal(0.0, size) / half ** (i + 1)
-                         for i, size in enumerate(drift))),
-                 ((unit * lever * jitter[1], 1.0 / jitter[0], rng.uniform(0, 2 * np.pi)),))
+    polynomial = [0.0]
+    for power, deviation in enumerate(drift, 1):
+        # Divided by half**power, so that the term is `deviation` at t = half.
+        polynomial.append(unit * lever * rng.normal(0.0, deviation) / half**power)
+    period, amplitude = jitter
+    sine = (unit * lever * amplitude, 1.0 / period, rng.uniform(0, 2 * np.pi))
+    return Angle(tuple(polynomial), (sine,))
 
 
 def _sensor_with_angles(sensor: Pushbroom, angles: list[Angle]) -> Pushbroom:

@@ -119,9 +119,9 @@ def adjust_block(state: State, measured: Sequence[Measured], control: Sequence[O
         if not run.loosen():
             break
         steps += run.iterate(robust=False, limit=_STAGE_STEPS, report=_show_nothing)
-    # Before `integrate`, which moves images to the mean over all variances by purpose.
+    # Before `move_to_posterior_mean`, which moves images on purpose.
     moved = run.moved()
-    draws = run.integrate()
+    draws = run.move_to_posterior_mean()
     residuals, of_control = run.residuals()
     return Adjusted(
         state=state, solved=run.solved, residuals=residuals, of_control=of_control,
@@ -185,27 +185,28 @@ class _Run(Steps):
         state.parameters = parameters
         return True
 
-    def integrate(self) -> list[FloatArray]:
+    def move_to_posterior_mean(self) -> list[FloatArray]:
         """Go to the mean over all variances; return draws of each image's errors, (d, p) each.
 
-        Empty where the variances are known or many.
+        That changes `solved`, ties, parameters and variances of the state, and the offset of
+        heights. Where the variances are known or many nothing changes, and there are no draws.
         """
         state = self.state
         if not 0 < unknown(state.cameras) <= MAX_INTEGRATED:
             return []
-        # Priors as first guessed: `integrate` takes them off again, and draws the variances itself.
+        # Priors as first guessed: the function takes them off again, and draws the variances.
         loose = self.linearised([np.square(camera.prior_sigma) for camera in state.cameras])
         integrated = integrate(loose.reduced.whole(), np.concatenate(loose.steps), state.cameras,
-                          state.parameters, loose.reduced.slices, self.heights.guessed())
+                               state.parameters, loose.reduced.slices, self.heights.guessed())
         # The step to the posterior mean, with the covariance over all variances.
         self.solved = loose.at(integrated.mean, integrated.covariance)
-        start = [self._positions_of_ties(i) for i in range(len(state.cameras))]
-        moves = self._tie_moves()
+        tie_positions = [self._positions_of_ties(i) for i in range(len(state.cameras))]
+        tie_moves = self._tie_moves()
         state.ties = state.ties + self.solved.ties
         state.parameters = [
-            camera.followed(old, step, at + moved, state.ties[tie_rows.tie])
-            for camera, old, step, at, moved, tie_rows in zip(
-                state.cameras, state.parameters, self.solved.steps[:-1], start, moves,
+            camera.followed(old, step, tie_position + tie_move, state.ties[tie_rows.tie])
+            for camera, old, step, tie_position, tie_move, tie_rows in zip(
+                state.cameras, state.parameters, self.solved.steps[:-1], tie_positions, tie_moves,
                 self.solved.tie_rows[:-1], strict=True)]
         self.heights.offset += float(self.solved.steps[-1][0])
         for i, columns in enumerate(loose.reduced.slices[:-1]):

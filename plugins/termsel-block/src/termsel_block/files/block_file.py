@@ -148,20 +148,23 @@ def _refuse_alone(images: Sequence[BlockImage], ties: Ties, path: Path) -> None:
 
 
 def _refuse_copies(names: Sequence[str], ties: Ties, path: Path) -> None:
-    """Raise TermselError if an image has all ties at one place, or two images have them all alike.
+    """Raise TermselError if ties look like copied rows.
+
+    That is: `_MIN_FEATURES` or more at one place of an image, or at the same ones in two images.
     """
-    measurements = [np.flatnonzero(ties.image == i) for i in range(len(names))]
-    for name, at in zip(names, measurements, strict=True):
+    rows_of_image = [np.flatnonzero(ties.image == i) for i in range(len(names))]
+    for name, rows in zip(names, rows_of_image, strict=True):
         # Copied rows: no two ties of an image are at one place by chance.
-        if len(at) >= _MIN_FEATURES and np.ptp(ties.position[at], axis=0).max() < _SAME:
-            raise TermselError(f"all {len(at)} ties of image {name!r} are at one position in it",
+        if len(rows) >= _MIN_FEATURES and np.ptp(ties.position[rows], axis=0).max() < _SAME:
+            raise TermselError(f"all {len(rows)} ties of image {name!r} are at one position in it",
                                file=path, hint="Check the columns line and sample of the ties.")
     # Of images that share ties: are all measured alike in both?
-    for i, j, first, second in pairs([ties.tie[at] for at in measurements], len(ties.names)):
+    for i, j, first, second in pairs([ties.tie[rows] for rows in rows_of_image], len(ties.names)):
         if i == j or len(first) < _MIN_FEATURES:
             continue
-        away = ties.position[measurements[i][first]] - ties.position[measurements[j][second]]
-        if np.abs(away).max() < _SAME:
+        difference = (ties.position[rows_of_image[i][first]]
+                      - ties.position[rows_of_image[j][second]])
+        if np.abs(difference).max() < _SAME:
             raise TermselError(f"images {names[i]!r} and {names[j]!r} have all {len(first)} "
                                "common ties at the same positions", file=path,
                                hint="Remove the one that is a copy, or correct its ties.")

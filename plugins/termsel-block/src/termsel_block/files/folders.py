@@ -26,7 +26,7 @@ from termsel_block.shown.summary import text_of
 
 log = logging.getLogger("termsel.block")
 
-RECORD, SUMMARY, PAGE, TIES, SCHEMA_FILE = (
+RECORD, SUMMARY, PAGE, TIES, SCHEMA_FILE = _FILES = (
     "block.json", "summary.txt", "report.html", "ties.csv", "block.schema.json")
 
 _MOST_TIES = {"smooth": 400, "polynomial": 200}
@@ -42,28 +42,38 @@ _INTERVALS, _PER_INTERVAL = 32, 5
 """Intervals of the splines that follow jitter as the block has it, and points that each takes."""
 
 
-def claim(folder: Path, names: list[str], *, overwrite: bool, reads: Iterable[Path] = (),
-          ) -> None:
-    """Refuse the folder of a block before any long computation.
+def require_free_folder(folder: Path, names: list[str], *, overwrite: bool,
+                        reads: Iterable[Path] = ()) -> None:
+    """Require that a block can be written to a folder, before any long computation.
+
+    Parameters
+    ----------
+    folder : Path
+    names : list of str
+        Names of the images.
+    overwrite : bool
+        Whether a block in the folder may be replaced.
+    reads : iterable of Path
+        Files that the run reads, which are not replaced.
 
     Raises
     ------
     TermselError
-        If there is a block, a file that is not one's or one that is read in it, it cannot be made,
-        or an image has the name of a file of the block.
+        If the folder holds a block (without `overwrite`), holds a file that the block would replace
+        and that is not part of one, or that the run reads, or cannot be made; or if an image has
+        the name of a file of the block.
     """
-    reserved = [name for name in names
-           if name.casefold() in (RECORD, SUMMARY, PAGE, TIES, SCHEMA_FILE)]
+    reserved = [name for name in names if name.casefold() in _FILES]
     if reserved:
         raise TermselError(f"{reserved[0]!r} cannot be the name of an image: the block has a file "
                            "of that name", hint="Give the image another name.")
-    require_replaceable([folder / name for name in (RECORD, SUMMARY, PAGE, TIES, SCHEMA_FILE)],
-                        reads=reads, overwrite=True, makes_folder=True)
+    require_replaceable([folder / name for name in _FILES], reads=reads, overwrite=True,
+                        makes_folder=True)
     if (folder / RECORD).exists() and not overwrite:
         raise TermselError("there is a block in this folder already", file=folder,
                            hint="Choose another --out, or add --overwrite.")
     # A file of such a name without a block next to it is somebody else's.
-    strange = [name for name in (SUMMARY, PAGE, TIES, SCHEMA_FILE)
+    strange = [name for name in _FILES
                if (folder / name).exists() and not (folder / RECORD).exists()]
     if strange:
         raise TermselError("the block would replace this file, which is not part of one",
@@ -102,7 +112,7 @@ def write_block(result: BlockResult, folder: Path | str, *, overwrite: bool = Fa
     Raises
     ------
     TermselError
-        As `claim`, or if a file cannot be written. Then nothing has changed.
+        As `require_free_folder`, or if a file cannot be written. Then nothing has changed.
 
     Notes
     -----
@@ -121,7 +131,7 @@ def write_block(result: BlockResult, folder: Path | str, *, overwrite: bool = Fa
     folder = Path(folder)
     names = [image.name for image in result.block.images]
     # Refused before the pages of work that follow.
-    claim(folder, names, overwrite=overwrite)
+    require_free_folder(folder, names, overwrite=overwrite)
     record = record_of(result)
     with together(folder, RECORD) as new_folder:
         for i, name in enumerate(names):

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -54,18 +54,13 @@ class WorldFile(Reader):
             except ValueError:
                 raise TermselError(f"{line.strip()!r:.40} is not a number", file=path, line=i,
                                    hint="A world file has six lines of one number.") from None
-        if len(numbers) != 6 or not np.isfinite(numbers).all():
+            if numbers and not np.isfinite(numbers[-1]):
+                raise TermselError(f"{line.strip()!r:.40} is not a finite number", file=path,
+                                   line=i, hint="A world file has six lines of one finite number.")
+        if len(numbers) != 6:
             raise TermselError(f"this world file has {len(numbers)} numbers", file=path,
                                hint="A world file has six lines of one finite number.")
-        image = self.options["image"]
-        candidates = [path.with_suffix(ending) for ending in _ENDINGS] if image is None else [
-            Path(image)]
-        picture = next((candidate for candidate in candidates if candidate.is_file()), None)
-        if picture is None:
-            raise TermselError("there is no image beside this world file" if image is None
-                               else "this image does not exist", file=image or path,
-                               hint="Name it with --set image=FILE.")
-        with open_raster(picture) as raster:
+        with open_raster(self._image_of(path)) as raster:
             size = raster.shape
             crs = raster.crs
         lines = size[0] - 1.0
@@ -74,13 +69,37 @@ class WorldFile(Reader):
                        [lines / 2, samples / 2]])
         # x = A column + B row + C, y = D column + E row + F, in the order A, D, B, E, C, F, for the
         # centre of the upper-left pixel.
-        right, turn_y, turn_x, down, x, y = numbers
-        ground = at @ [[turn_x, down], [right, turn_y]] + [x, y]
-        epsg = crs.to_epsg() if crs else None
+        right, turn_y, turn_x, down, x0, y0 = numbers
+        ground = at @ [[turn_x, down], [right, turn_y]] + [x0, y0]
         return FeatureSet(
             Points(("upper left", "upper right", "lower left", "lower right", "middle"), at,
                    np.column_stack([ground, np.full(5, np.nan)])),
-            crs=f"EPSG:{epsg}" if epsg else crs.to_wkt() if crs else "", image_size=size)
+            crs=_crs_name(crs), image_size=size)
+
+    def _image_of(self, path: Path) -> Path:
+        """Return the image that a world file belongs to: the one that is named, or beside it.
+
+        Raises TermselError if there is none.
+        """
+        named = self.options["image"]
+        if named is not None:
+            if not Path(named).is_file():
+                raise TermselError("this image does not exist", file=named,
+                                   hint="Name it with --set image=FILE.")
+            return Path(named)
+        for ending in _ENDINGS:
+            if path.with_suffix(ending).is_file():
+                return path.with_suffix(ending)
+        raise TermselError("there is no image beside this world file", file=path,
+                           hint="Name it with --set image=FILE.")
+
+
+def _crs_name(crs: Any) -> str:
+    """Return the CRS of a raster as EPSG:n, as WKT without such a number, "" for None."""
+    if not crs:
+        return ""
+    epsg = crs.to_epsg()
+    return f"EPSG:{epsg}" if epsg else crs.to_wkt()
 
 
 class WorldFileWriter(PointsWriter):

@@ -86,8 +86,8 @@ def branch(kind: int, vectors: Vectors, limits: Limits, records: Records, positi
                 for new in range(size + depth + 1, size + depth + min(room_below, n - first) + 1):
                     worst = max(worst, records.best[new])
                 if work is not None and open_subsets > held_out.ENUMERATED and 0.0 < worst < np.inf:
-                    end = held_out.first_closed(vectors.top[depth, 0], vectors.leverage[depth],
-                                                first, n, worst, work)
+                    end = held_out.first_prunable_column(
+                        vectors.top[depth, 0], vectors.leverage[depth], first, n, worst, work)
                 if check is not None and open_subsets > check_errors.BLOCK:
                     end = check_errors.closed_from(kind, vectors, limits, depth=depth, first=first,
                                                    worst=worst, upper=check.upper[depth],

@@ -87,13 +87,19 @@ def descend(kind: int, vectors: Vectors, depth: int, i: int) -> None:
 
 
 @_compiled
-def first_closed(top: FloatArray, leverage: FloatArray, first: int, n: int, limit: float,
-                 work: FloatArray) -> int:
-    """Return a column from which on no subset scores `limit` or less.
+def first_prunable_column(top: FloatArray, leverage: FloatArray, first: int, n: int, limit: float,
+                          work: FloatArray) -> int:
+    """Return the least i for which all subsets that add only columns i, ..., n - 1 are pruned.
 
-    The weighted columns are removed from the targets, from the last to the first: what is left
-    after the last i is the minimum for these. Inner products would lose its digits where the
-    targets are long; modified Gram-Schmidt keeps them.
+    Their bound is above `limit`, by more than its rounding. It is `first` if that is so of all of
+    first, ..., n - 1, and n if of none. `top` (n + r, rows) are the columns and the r targets
+    without the columns in use, `leverage` (rows,) that of the latter; `work` is scratch of the
+    shape of `top`.
+
+    Weighted columns are removed from the weighted targets, from the last to the first: the squares
+    that remain of the targets after column i are the least that columns i, ..., n - 1 allow. Normal
+    equations would lose the digits of that minimum where targets are long; modified Gram-Schmidt
+    keeps them.
     """
     vectors, rows = top.shape
     for i in range(first, vectors):
@@ -107,11 +113,11 @@ def first_closed(top: FloatArray, leverage: FloatArray, first: int, n: int, limi
         if length > 0.0:  # however short: one direction more leaves no more of the targets
             for k in range(rows):
                 work[i, k] /= length
-        total = 0.0
+        least_squares = 0.0
         for j in range(n, vectors):
             subtract(work[j], work[j], work[i], dot(work[j], work[i]))
-            total += dot(work[j], work[j])
-        if not total > limit * (1.0 + _ROUNDING):
+            least_squares += dot(work[j], work[j])
+        if not least_squares > limit * (1.0 + _ROUNDING):
             return i + 1
     return first
 

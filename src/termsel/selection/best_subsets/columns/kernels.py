@@ -175,9 +175,11 @@ def _keeps_guard(vectors: Vectors, depth: int, cursor: IntArray, records: Record
 
 @_compiled
 def _has_parents(mask: Any, parents: Any) -> bool:
-    """Return whether a subset has the parents of all its columns."""
+    """Return whether every column in `mask` (uint64, bit j: column j) has its parents in it, too.
+
+    `parents` (k,) has a mask for each column.
+    """
     lowest_bit = np.uint64(1)
-    # Column j may be in the subset only if all of parents[j] are in it as well.
     for j in range(len(parents)):
         if (mask >> np.uint64(j)) & lowest_bit != 0 and (parents[j] & ~mask) != 0:
             return False

@@ -38,7 +38,9 @@ CARRY = 1e5
 """Condition of the normal matrix up to which the walk carries products along."""
 
 FAR = 1e6
-"""Squared errors, relative to the least possible, up to which it does."""
+"""Squared errors, relative to the least possible, up to which the walk carries products along."""
+
+_SINGULAR = 1e-14  # pivot, relative to the trace, up to which a normal matrix is rounding alone
 
 
 @_compiled
@@ -214,48 +216,51 @@ def _solve_normal(normal: FloatArray, right: FloatArray, k: int, factor: FloatAr
     `factor` becomes the lower Cholesky factor, with its diagonal inverted.
     """
     trace, least_pivot = 0.0, 1.0
-    for x in range(k):
-        trace += normal[x, x]
-    # Row x of L in N = L L', and component x of L^-1 r along with it.
-    for x in range(k):
-        for z in range(x):
-            value = normal[x, z]
-            for c in range(z):
-                value -= factor[x, c] * factor[z, c]
-            factor[x, z] = value * factor[z, z]
-        value = normal[x, x]
-        component = right[x]
-        for c in range(x):
-            value -= factor[x, c] * factor[x, c]
-            component -= factor[x, c] * y[c]
-        # Pivots below this are rounding: the matrix counts as singular.
+    for i in range(k):
+        trace += normal[i, i]
+    # Row i of L in N = L L', and component i of L^-1 r along with it.
+    for i in range(k):
+        for j in range(i):
+            value = normal[i, j]
+            for m in range(j):
+                value -= factor[i, m] * factor[j, m]
+            factor[i, j] = value * factor[j, j]
+        value = normal[i, i]
+        component = right[i]
+        for j in range(i):
+            value -= factor[i, j] * factor[i, j]
+            component -= factor[i, j] * y[j]
         least_pivot = min(least_pivot, value / trace)
-        if not value > 1e-14 * trace:
+        if not value > _SINGULAR * trace:
             return 0.0
-        factor[x, x] = 1.0 / np.sqrt(value)
-        y[x] = component * factor[x, x]
-    for x in range(k - 1, -1, -1):
-        y[x] *= factor[x, x]  # backwards, column by column
-        for z in range(x):
-            y[z] -= factor[x, z] * y[x]
+        factor[i, i] = 1.0 / np.sqrt(value)
+        y[i] = component * factor[i, i]
+    # Backwards, column by column: L' y = L^-1 r.
+    for i in range(k - 1, -1, -1):
+        y[i] *= factor[i, i]
+        for j in range(i):
+            y[j] -= factor[i, j] * y[i]
     return least_pivot
 
 
 @_compiled
 def _invert(normal: FloatArray, k: int, factor: FloatArray, inverse: FloatArray) -> float:
-    """Invert a Cholesky factor; return tr(N) tr(N^-1), which is at least the condition of N."""
+    """Invert a Cholesky factor L of N; return tr(N) tr(N^-1), at least the condition of N.
+
+    The diagonal of `factor` is inverted, as `_solve_normal` leaves it; `inverse` becomes L^-1.
+    """
     trace, inverse_trace = 0.0, 0.0
     # tr(N^-1) is the sum of squares of L^-1, whose columns are made one by one.
-    for z in range(k):
-        trace += normal[z, z]
-        inverse[z, z] = factor[z, z]
-        inverse_trace += inverse[z, z] * inverse[z, z]
-        for x in range(z + 1, k):
+    for j in range(k):
+        trace += normal[j, j]
+        inverse[j, j] = factor[j, j]
+        inverse_trace += inverse[j, j] * inverse[j, j]
+        for i in range(j + 1, k):
             value = 0.0
-            for c in range(z, x):
-                value -= factor[x, c] * inverse[c, z]
-            inverse[x, z] = value * factor[x, x]
-            inverse_trace += inverse[x, z] * inverse[x, z]
+            for m in range(j, i):
+                value -= factor[i, m] * inverse[m, j]
+            inverse[i, j] = value * factor[i, i]
+            inverse_trace += inverse[i, j] * inverse[i, j]
     return float(trace * inverse_trace)
 
 
