@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from termsel import Points, open_dem
-from termsel_block.estimation.common import of_heights
+from termsel_block.estimation.common import height_equations
 from termsel_block.estimation.equations import TieRows, pairs, solve
 from termsel_block.geometry.cameras import RpcCamera, groups_of
 from termsel_block.geometry.frame import FloatArray
@@ -61,7 +61,7 @@ def bounds(simulated: Simulated, result: BlockResult, bias: float, drift: float,
         # Ties and control lie at random, so that each height counts, as the adjustment dares not.
         known, rough = len(ground.control_heights.over), result.adjusted.roughness
         ground = replace(ground, sigma=rough, crowd=1.0, control_heights=ControlHeights())
-        heights, of_offset, aim, of_ties, aim_of_ties = of_heights(ground, places)
+        heights, of_offset, aim, of_ties, aim_of_ties = height_equations(ground, places)
         of_offset[0, 0] += known / rough**2
     solved = solve([*seen, heights], [*normal, of_offset], [*right, aim],
                    of_ties + np.eye(3) * _UNSEEN**-2, aim_of_ties,

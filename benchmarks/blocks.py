@@ -272,7 +272,7 @@ def by_scipy() -> str:
                 computed = camera.project(own, known[i].local)
                 out.append((known[i].value - (known[i].normal * computed).sum(axis=1))
                            / (state.sigma_control * known[i].sigma))
-        seen = ground.observed(places)
+        seen = ground.tie_observations(places)
         return np.concatenate([*out, unknown[:begin[-1]] / spread,
                                np.sqrt(seen.weight) * seen.away])
 

@@ -13,7 +13,7 @@ from termsel import FeatureSet, simulate_scene
 from termsel.formats.rpc_files import write_rpc
 from termsel.simulate.catalogue import OTHERS, SCENES
 from termsel.simulate.example import vendor_rpc
-from termsel.simulate.kept import FOLDER, to_keep
+from termsel.simulate.kept import FOLDER, bytes_to_keep
 from termsel_optimisers.papers.datasets import SIMULATED
 from termsel_rpc.simulated import DATASET_NAME, MATCHES, candidates, matches
 
@@ -41,7 +41,7 @@ def main() -> None:
     """Write all."""
     for path, features in computed():
         path.parent.mkdir(exist_ok=True)
-        path.write_bytes(to_keep(features))
+        path.write_bytes(bytes_to_keep(features))
     write_rpc(vendor_rpc(), CORE / "vendor.RPB")
 
 

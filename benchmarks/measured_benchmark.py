@@ -19,7 +19,7 @@ from benchmarks.sets import put
 from termsel_bench.methods.base import AUTO, PEERS, Method
 from termsel_bench.protocol import Score, Work, score
 from termsel_bench.scenes.measured import measured_names
-from termsel_bench.tables import best_of, by_kind, losses, ratio
+from termsel_bench.tables import best_of, losses, ratio, ratios_by_kind
 
 METHODS = [AUTO, *(Method("peer", name) for name in PEERS if name != "orthority")]
 
@@ -71,7 +71,7 @@ def kept_scores(names: Sequence[str], kept: Mapping[tuple[str, str], Score],
 def page(scored: Sequence[Score]) -> str:
     """Return the page."""
     best = best_of(scored)
-    header, rows = by_kind(scored)
+    header, rows = ratios_by_kind(scored)
     sets = list(dict.fromkeys(each.set_name for each in scored))
     lost = losses(scored, AUTO.title)
     counts = Counter(each.kind for each in scored if each.method == AUTO)

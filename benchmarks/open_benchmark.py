@@ -16,7 +16,7 @@ from termsel_bench.methods.base import AUTO, PEERS, Method
 from termsel_bench.protocol import Score, scores
 from termsel_bench.scenes.catalogue import SETS
 from termsel_bench.submitted import texts_of
-from termsel_bench.tables import LOSS_RATIO, by_kind, losses
+from termsel_bench.tables import LOSS_RATIO, losses, ratios_by_kind
 
 METHODS = (AUTO, Method("solver", "ga"), *(Method("peer", name) for name in PEERS
                                            if name != "opencv"))  # no focal length is stated
@@ -64,7 +64,7 @@ def page(found: Sequence[Score]) -> str:
     lost = [(mine.set_name, str(mine.control), _with_interval(mine), other.method.title,
              _with_interval(other), f"{mine.rmse / other.rmse:.2f}") for mine, other in worse]
     return "\n".join([
-        HEAD, *rows(*by_kind(found)),
+        HEAD, *rows(*ratios_by_kind(found)),
         f"\n## Where auto loses\n\n`auto` loses on {len(worse)} of {len(SETS)} sets by more than "
         f"{100 * (LOSS_RATIO - 1):.0f} %. Intervals of 95 % are of the independent check points.\n",
         *rows(("set", "points", "auto [px]", "best method", "its RMSE [px]", "ratio"), lost),

@@ -37,15 +37,15 @@ def test_the_empires_in_the_history_are_those_of_the_search() -> None:
 
 
 def test_a_long_search_is_thinned_and_keeps_its_ends() -> None:
-    from termsel.results.charts.search import spaced
+    from termsel.results.charts.search import evenly_spaced
 
     history = [{"evaluations": i} for i in range(10_007)]
-    shown = spaced(history, 400)
+    shown = evenly_spaced(history, 400)
     assert len(shown) == 400
     assert (shown[0], shown[-1]) == (history[0], history[-1])
     gaps = np.diff([one["evaluations"] for one in shown])
     assert gaps.max() - gaps.min() <= 1
-    assert spaced(history[:400], 400) == history[:400]
+    assert evenly_spaced(history[:400], 400) == history[:400]
 
 
 @pytest.mark.slow_cases("residuals", "worst")

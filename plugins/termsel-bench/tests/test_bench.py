@@ -24,7 +24,7 @@ from termsel_bench.methods.scripts import Cubic
 from termsel_bench.protocol import Score, Work, score
 from termsel_bench.scenes import catalogue
 from termsel_bench.scenes.base import INDEPENDENT, BenchSet
-from termsel_bench.scenes.catalogue import QUICK, SETS, simulated
+from termsel_bench.scenes.catalogue import QUICK, SETS, simulated_set
 from termsel_bench.scenes.real import real_set
 from termsel_bench.submitted import read_submitted
 from termsel_bench.tables import best_of, losses, ratio
@@ -77,7 +77,7 @@ def test_forty_sets_of_nine_kinds() -> None:
 @pytest.mark.slow_cases("lines-1")
 @pytest.mark.parametrize("name", ["steady-1", "radar-1", "old-map-1", "vendor-rpc-1", "lines-1"])
 def test_a_set_is_the_frozen_one(name: str) -> None:
-    one = simulated(name)
+    one = simulated_set(name)
     asked = SETS[name]
     assert len(one.features.points) == asked.count
     assert len(one.independent) == INDEPENDENT
@@ -98,17 +98,17 @@ def test_a_set_is_refused_that_differs_by_more_than_the_rounding_of_few_numbers(
         return type(one)(one.name, one.kind, one.features, type(one.independent)(
             one.independent.ids, image, one.independent.ground, None, one.independent.roles))
 
-    made = catalogue.made
-    monkeypatch.setattr(catalogue, "made", moved)
-    simulated.cache_clear()
+    made = catalogue.simulate_set
+    monkeypatch.setattr(catalogue, "simulate_set", moved)
+    simulated_set.cache_clear()
     with nullcontext() if frozen else pytest.raises(
             TermselError, match=r"not the frozen one: frame-1\.csv differs"):
-        simulated("frame-1")
-    simulated.cache_clear()
+        simulated_set("frame-1")
+    simulated_set.cache_clear()
 
 
 def test_radar_sees_heights_by_range_alone() -> None:
-    one = simulated("radar-3")
+    one = simulated_set("radar-3")
     at = (one.independent.ground - one.independent.ground.mean(axis=0)) \
         / np.ptp(one.independent.ground, axis=0)
     plane = np.column_stack([at[:, 0]**i * at[:, 1]**j for i in range(4) for j in range(4 - i)])
@@ -127,7 +127,7 @@ def test_written_files_are_those_of_the_metadata_and_are_read(tmp_path: Path) ->
     for one in said["distribution"]:
         assert hashlib.sha256((tmp_path / one["name"]).read_bytes()).hexdigest() == one["sha256"]
     points = termsel.read(tmp_path / "vendor-rpc-2.csv").points
-    one = simulated("vendor-rpc-2")
+    one = simulated_set("vendor-rpc-2")
     np.testing.assert_array_equal(points.image[:4], one.features.points.image)
     np.testing.assert_array_equal(points.ground[4:], one.independent.ground)
     assert one.features.rpc is not None
@@ -145,7 +145,7 @@ def test_metadata_name_each_file_once() -> None:
 
 def test_a_score_is_the_rmse_of_independent_points(package: str) -> None:
     found = score(Work(Method("package", package), "steady-3"))
-    one = simulated("steady-3")
+    one = simulated_set("steady-3")
     at = one.features.points.ground
     middle = at.mean(axis=0)
     x = np.linalg.lstsq(np.column_stack([np.ones(len(at)), at - middle]),
@@ -187,7 +187,7 @@ def test_peers_do_what_they_say(peer: str) -> None:
 
 def test_a_spline_of_gdal_is_exact_at_its_points() -> None:
     pytest.importorskip("rasterio")
-    one = simulated("steady-3")
+    one = simulated_set("steady-3")
     seen = Method("peer", "gdal-tps").positions(one.features, one.features.points, 1)
     np.testing.assert_allclose(seen, one.features.points.image, atol=1e-4)
 

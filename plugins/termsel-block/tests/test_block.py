@@ -19,7 +19,7 @@ import jsonschema  # type: ignore[import-untyped]
 
 from termsel import FeatureSet, Points, Rpc, TermselError, read_result, read_rpc
 from termsel.testing import invoke
-from termsel_block.accuracy import Spread, in_space, independent_points, predicted, rmse
+from termsel_block.accuracy import Spread, errors_in_space, independent_points, predicted, rmse
 from termsel_block.block import Block, BlockImage, Ties
 from termsel_block.estimation.equations import TieRows, pairs, solve
 from termsel_block.evidence.factors import log_bayes_factor
@@ -27,7 +27,7 @@ from termsel_block.files.block_file import read_block
 from termsel_block.geometry.frame import FloatArray, IntArray
 from termsel_block.joint import BlockResult, adjust
 from termsel_block.shown import page
-from termsel_block.shown.record import joined, record_of, times_seen
+from termsel_block.shown.record import connected_images, record_of, times_seen
 from termsel_block.shown.summary import LINES, first_screen, text_of
 from termsel_block.simulated import Simulated, simulate_block
 
@@ -222,7 +222,7 @@ def test_images_without_geometry_are_held_by_control_and_ties() -> None:
     result = adjust(simulated.block)
     assert record_of(result).images[2].model == "polynomial"
     assert errors(result, 2) < 12
-    space = in_space(result)
+    space = errors_in_space(result)
     assert space is not None
     assert space.up < 60
 
@@ -300,7 +300,7 @@ def test_ties_that_contradict_are_refused() -> None:
 
 def test_parts_are_what_ties_join() -> None:
     tie, image = np.array([0, 0, 1, 1, 2, 2]), np.array([0, 1, 1, 2, 3, 4])
-    assert joined(tie, image, 6) == [[0, 1, 2], [3, 4], [5]]
+    assert connected_images(tie, image, 6) == [[0, 1, 2], [3, 4], [5]]
 
 
 @pytest.fixture(scope="module")

@@ -143,11 +143,11 @@ def test_heights_are_linearised_as_they_are() -> None:
     frame = Frame("local", np.zeros(3), np.eye(3))
     heights = Heights(frame, 0.0, 100.0, slope, offset=3.0)
     ties = np.array([[10.0, 20.0, 5.0], [-300.0, 40.0, 7.0]])
-    seen = heights.observed(ties)
+    seen = heights.tie_observations(ties)
     for axis in range(3):
         there = ties.copy()
         there[:, axis] += 0.5
-        moved = heights.observed(there).away - seen.away
+        moved = heights.tie_observations(there).away - seen.away
         np.testing.assert_allclose(-moved / 0.5, seen.row[:, axis], atol=1e-9)
     # Two ties without any error, and the usual one of a DEM counts as two.
     heights.offset = 0.0

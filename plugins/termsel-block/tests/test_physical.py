@@ -140,7 +140,7 @@ def test_a_sensor_that_is_right_hides_no_other(
     monkeypatch.setattr(joint, "_with_note_on_dem", lambda result: result)
     monkeypatch.setattr(joint, "_without_worse", lambda result, *_: result)
     monkeypatch.setattr(joint, "agrees_better", lambda *given: sensors[given[-1]] != "aster")
-    monkeypatch.setattr(contradictions, "contradicted", contradicted)
+    monkeypatch.setattr(contradictions, "contradictions_of", contradicted)
     found = adjust(block).block
     assert [image.options.get("sensor") for image in found.images] == ["aster", None, "aster"]
     assert sum("'planetscope'" in note for note in found.notes) == 1
@@ -210,7 +210,7 @@ def test_a_block_without_a_sensor_is_adjusted_once(
     monkeypatch.setattr(joint, "_adjust_as_stated", flat)
     monkeypatch.setattr(joint, "_with_note_on_dem", lambda result: result)
     monkeypatch.setattr(joint, "agrees_better", lambda *_: False)
-    monkeypatch.setattr(contradictions, "contradicted", lambda adjusted: {
+    monkeypatch.setattr(contradictions, "contradictions_of", lambda adjusted: {
         0: Contradiction(1e-9, 9.0, ())} if adjusted.stated else {})
     (note,) = adjust(block).block.notes
     assert tried == [True, False]
@@ -225,7 +225,7 @@ def test_a_sensor_is_one_claim_of_all_images_that_state_it(
     block = replace(simulated.block, images=tuple(
         replace(image, model="scanner", options={"sensor": sensor})
         for image, sensor in zip(simulated.block.images, sensors, strict=True)))
-    monkeypatch.setattr(contradictions, "contradicted", lambda _: {
+    monkeypatch.setattr(contradictions, "contradictions_of", lambda _: {
         2: Contradiction(1e-9, 9.0, ("look-2 by 5.0",))})
     found = contradictions.without_wrong_sensor(block, SimpleNamespace(), ())  # type: ignore[arg-type]
     assert found is not None

@@ -16,7 +16,7 @@ from termsel.testing import problems
 from termsel.testing.problems import Toy
 from termsel.toolkit import BoolArray, FloatArray
 from termsel.toolkit.searches import gap
-from termsel_optimisers.rivals.colony import AntColony, deposit, grafts, renew, settled
+from termsel_optimisers.rivals.colony import AntColony, deposit, grafts, has_settled, renew
 
 
 def bits(*texts: str) -> BoolArray:
@@ -43,9 +43,9 @@ def test_evaporation_and_deposit_within_limits() -> None:
 
 def test_settled_by_the_rarer_states() -> None:
     chance = np.array([0.02, 0.98, 0.9])
-    assert settled(chance, 0.05)
-    assert not settled(chance, 0.04)
-    assert not settled(np.empty(0), 0.5)
+    assert has_settled(chance, 0.05)
+    assert not has_settled(chance, 0.04)
+    assert not has_settled(np.empty(0), 0.5)
 
 
 def test_grafts_take_one_segment_each() -> None:

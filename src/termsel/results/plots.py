@@ -108,7 +108,7 @@ KINDS = {kind.name: kind for kind in (
         "The best value should be level at the end. If it still falls, give the search more "
         "evaluations.", search.convergence,
         lambda view: "" if len(view.record.history) > 1 else
-        "it has no history of a search", remark=search.refined),
+        "it has no history of a search", remark=search.refinement_remark),
     ChartKind(
         "empires", "Empires of the search",
         "The imperialist competitive algorithm ends when one band remains. Many bands at the end "

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from termsel.results.blocks import TableBlock
-from termsel.results.charts.search import spaced
+from termsel.results.charts.search import evenly_spaced
 from termsel.results.charts.terms import frequency_rows, term_rows
 from termsel.results.view import View
 
@@ -19,7 +19,7 @@ STEP = 9
 
 def convergence_table(view: View) -> TableBlock:
     """Return the search, generation by generation."""
-    history = spaced(view.record.history, MAX_GENERATION_ROWS)
+    history = evenly_spaced(view.record.history, MAX_GENERATION_ROWS)
     has_empires = any(generation.empires for generation in history)
     rows = []
     for generation in history:

@@ -76,7 +76,7 @@ def kept_text(name: str) -> str:
     return (files("termsel.simulate") / FOLDER / name).read_text("utf-8")
 
 
-def to_keep(features: FeatureSet) -> bytes:
+def bytes_to_keep(features: FeatureSet) -> bytes:
     """Return features as bytes that `kept_features` reads, every number with all its digits."""
     points = features.points
     lines = features.lines

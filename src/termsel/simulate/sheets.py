@@ -26,7 +26,7 @@ def _corner(sheet: int) -> tuple[float, float]:
     return _WEST + column * FRAME[0], _NORTH - row * FRAME[1]
 
 
-def _on_map(sheet: int, image: FloatArray) -> FloatArray:
+def _map_positions(sheet: int, image: FloatArray) -> FloatArray:
     """Return easting and northing [m] of pixels (line, sample), shape (n, 2)."""
     # Waves as long as the sheet, of another phase on each.
     phase = 2.0 * np.pi * (image / np.array(SHEET_SIZE) + 0.3 * sheet)
@@ -39,14 +39,14 @@ def _on_map(sheet: int, image: FloatArray) -> FloatArray:
                             north + right * np.sin(turn) - down * np.cos(turn)])
 
 
-def _in_scan(sheet: int, ground: FloatArray) -> FloatArray:
-    """Return the pixels of map positions: the inverse of `_on_map`, by iteration."""
+def _scan_positions(sheet: int, ground: FloatArray) -> FloatArray:
+    """Return the pixels of map positions: the inverse of `_map_positions`, by iteration."""
     corner = np.array(_corner(sheet))
     offsets = np.column_stack([corner[1] - ground[:, 1], ground[:, 0] - corner[0]])
     image = offsets / _PIXEL + _PAPER_MARGIN
     # Turn and warp are small, so that each step leaves a few per cent of the error.
     for _ in range(12):
-        missing = ground - _on_map(sheet, image)
+        missing = ground - _map_positions(sheet, image)
         image = image + np.column_stack([-missing[:, 1], missing[:, 0]]) / _PIXEL
     return image
 
@@ -63,7 +63,7 @@ def sheet_and_points(sheet: int) -> tuple[np.ndarray, FloatArray, FloatArray]:
     lines, samples = np.mgrid[:SHEET_SIZE[0], :SHEET_SIZE[1]]
     pixels = np.column_stack([lines.ravel(), samples.ravel()]).astype(float)
     west, north = _corner(sheet)
-    right, down = ((_on_map(sheet, pixels) - (west, north)) * (1.0, -1.0)).T
+    right, down = ((_map_positions(sheet, pixels) - (west, north)) * (1.0, -1.0)).T
     inside = (right >= 0) & (right <= FRAME[0]) & (down >= 0) & (down <= FRAME[1])
     fields = (np.floor(right / GRID_SPACING) + np.floor(down / GRID_SPACING)) % 2
     to_grid = np.minimum(np.abs(right - GRID_SPACING * np.round(right / GRID_SPACING)),
@@ -77,5 +77,5 @@ def sheet_and_points(sheet: int) -> tuple[np.ndarray, FloatArray, FloatArray]:
     crossings = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
     chosen = crossings[rng.permutation(len(crossings))[:_CROSSINGS]]
     ground = np.array((west, north)) + chosen * (1.0, -1.0)
-    image = _in_scan(sheet, ground) + rng.normal(0.0, _SHEET_NOISE, ground.shape)
+    image = _scan_positions(sheet, ground) + rng.normal(0.0, _SHEET_NOISE, ground.shape)
     return scan, ground, image.round(3)

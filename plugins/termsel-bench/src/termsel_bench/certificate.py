@@ -29,7 +29,7 @@ from termsel.check import (
     checksum,
     require_together,
 )
-from termsel_bench.multipliers import Columns, FloatArray, bounded
+from termsel_bench.multipliers import Columns, FloatArray, best_bound
 
 Step: TypeAlias = list[Any]
 
@@ -223,7 +223,7 @@ def _bound_steps(columns: Columns, node: Node,
     steps: list[Step] = []
     for _ in range(_REFINEMENT_STEPS):
         # Multipliers of the node before are a good start, and a bound often falls below 1 at once.
-        bound = bounded(columns)
+        bound = best_bound(columns)
         if bound is None:
             break
         columns = replace(columns, alphas=bound.alphas)
@@ -271,7 +271,7 @@ def _branch(columns: Columns, room: int) -> int:
             # A single selection.
             if half is None or not half.names:
                 continue
-            bound = bounded(half, tune=False)
+            bound = best_bound(half, tune=False)
             if bound is None:
                 total += 1.0
             elif not bound.closes and columns.denominators.shape[1]:

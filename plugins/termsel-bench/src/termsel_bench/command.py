@@ -169,7 +169,7 @@ def _run(methods: Sequence[Method], names: Sequence[str], real: Path | None, pro
     from termsel_bench.protocol import scores
     from termsel_bench.scenes.measured import MEASURED
     from termsel_bench.scenes.real import real_folders
-    from termsel_bench.tables import by_kind, losses
+    from termsel_bench.tables import losses, ratios_by_kind
 
     if folder is not None:
         # Before hours of work, not after.
@@ -183,7 +183,7 @@ def _run(methods: Sequence[Method], names: Sequence[str], real: Path | None, pro
         if len(scored) % len(methods) == 0:
             # A line for each set, as methods of one set come one after the other.
             echo(f"{len(scored)} of {total}: {score.set_name}", err=True)
-    header, rows = by_kind(scored)
+    header, rows = ratios_by_kind(scored)
     print_table(header, rows)
     # Measured sets have blunders among their hidden points: a mean would show those alone.
     figure = "median error of hidden points" if scored[0].set_name.startswith(MEASURED) \
@@ -227,18 +227,18 @@ def _write_files(folder: Path, names: Sequence[str], *, overwrite: bool) -> None
     from termsel import require_replaceable
     from termsel.toolkit import make_folder, write_text
     from termsel.toolkit.files import refuse_links
-    from termsel_bench.scenes.catalogue import METADATA, simulated
-    from termsel_bench.scenes.croissant import described
+    from termsel_bench.scenes.catalogue import METADATA, simulated_set
+    from termsel_bench.scenes.croissant import croissant_description
 
     require_replaceable([folder / METADATA], reads=[], overwrite=overwrite, makes_folder=True)
     # All of them first: what fails leaves no folder.
-    sets = [simulated(name) for name in names]
+    sets = [simulated_set(name) for name in names]
     make_folder(folder)
     refuse_links(folder)
     for bench_set in sets:
         for file, text in bench_set.files().items():
             write_text(folder / file, text)
-    write_text(folder / METADATA, json_text(described(sets)) + "\n")
+    write_text(folder / METADATA, json_text(croissant_description(sets)) + "\n")
     say_written([folder / METADATA])
     echo(f"{len(sets)} sets are in {folder}.")
 

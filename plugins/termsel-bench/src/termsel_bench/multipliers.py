@@ -144,7 +144,7 @@ def _form_of(columns: Columns) -> _Form:
     return _Form(base, columns.control @ columns.control.T, s)
 
 
-def bounded(columns: Columns, *, tune: bool = True) -> Bound | None:
+def best_bound(columns: Columns, *, tune: bool = True) -> Bound | None:
     """Return the bound of columns by the best multipliers that a few steps find.
 
     With `tune` false those that the columns have are taken, if there are any. None if none is
@@ -191,12 +191,12 @@ def _tune_bound(form: _Form, at: Bound) -> Bound:
             step = np.linalg.solve(bend + 1e-12 * np.trace(bend) / n * np.eye(n), slope)
         except np.linalg.LinAlgError:
             break
-        height = _with_barrier(at, weight)
+        height = _barrier_objective(at, weight)
         size = 1.0
         reached = None
         while size > 0.01:
             reached = form.bound(at.alphas + size * step)
-            if reached is not None and _with_barrier(reached, weight) > height:
+            if reached is not None and _barrier_objective(reached, weight) > height:
                 break
             reached = None
             size = size / 2
@@ -209,7 +209,7 @@ def _tune_bound(form: _Form, at: Bound) -> Bound:
     return at
 
 
-def _with_barrier(bound: Bound, weight: float) -> float:
+def _barrier_objective(bound: Bound, weight: float) -> float:
     """Return the minimum plus a barrier, which is maximised: weight times log det Q.
 
     det Q is that of L^-1, inverted and squared.

@@ -11,12 +11,12 @@ from termsel_bench.methods.base import AUTO
 from termsel_bench.protocol import Score
 from termsel_bench.scenes.croissant import VERSION
 from termsel_bench.scenes.measured import MEASURED
-from termsel_bench.tables import LOSS_RATIO, best_of, by_kind, losses, ratio
+from termsel_bench.tables import LOSS_RATIO, best_of, losses, ratio, ratios_by_kind
 
 
 def document(scores: Sequence[Score], title: str = AUTO.title) -> Document:
     """Return the page of scores; `title` is the method whose losses are listed."""
-    header, rows = by_kind(scores)
+    header, rows = ratios_by_kind(scores)
     # Ratios are to the least RMSE of each set.
     best = best_of(scores)
     sets = dict.fromkeys(score.set_name for score in scores)

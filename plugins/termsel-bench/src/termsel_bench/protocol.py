@@ -21,7 +21,7 @@ from termsel.toolkit import FloatArray, one_blas_thread, requires, safe_start
 from termsel.toolkit.files import quiet_logger
 from termsel_bench.methods.base import Method
 from termsel_bench.scenes.base import BenchSet
-from termsel_bench.scenes.catalogue import simulated
+from termsel_bench.scenes.catalogue import simulated_set
 from termsel_bench.scenes.measured import MEASURED, MeasuredSet, measured
 from termsel_bench.scenes.real import real_set
 
@@ -74,7 +74,7 @@ class Work:
 
 def set_of(work: Work) -> BenchSet:
     """Return the set of some work: simulated, or of a folder."""
-    return simulated(work.set_name) if work.real is None else _real(work.real)
+    return simulated_set(work.set_name) if work.real is None else _real(work.real)
 
 
 @lru_cache(maxsize=2)

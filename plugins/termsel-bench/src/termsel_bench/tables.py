@@ -45,7 +45,7 @@ def csv_text(scores: Sequence[Score]) -> str:
     return csv_table(rows)
 
 
-def by_kind(scores: Sequence[Score]) -> tuple[list[str], list[list[str]]]:
+def ratios_by_kind(scores: Sequence[Score]) -> tuple[list[str], list[list[str]]]:
     """Return header and rows of the median ratio to the best of each set, best method first."""
     best = best_of(scores)
     kinds = list(dict.fromkeys(score.kind for score in scores))

@@ -147,7 +147,7 @@ def _draw_variance_ratios(result: BlockResult, i: int, rng: np.random.Generator)
     return np.asarray(1 + np.clip(by_prior, 0, 1)[:, None] * (factor - 1))
 
 
-def in_space(result: BlockResult) -> InSpace | None:
+def errors_in_space(result: BlockResult) -> InSpace | None:
     """Return the errors [m] of independent points that two images or more see, by intersection.
 
     None if there are no such points.

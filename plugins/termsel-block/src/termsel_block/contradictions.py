@@ -43,7 +43,7 @@ def without_wrong_sensor(block: Block, adjusted: Adjusted,
     some the ties bend others, too. With it the number of the image that contradicts most. Sensors
     that are right stay.
     """
-    contradictions = contradicted(adjusted)
+    contradictions = contradictions_of(adjusted)
     sensors = {i: sensor_of(block, i) for i in contradictions}
     suspects = {i: contradiction for i, contradiction in contradictions.items() if sensors[i]
                 and sensors[i] not in right}
@@ -153,7 +153,7 @@ def agrees_better(before: Adjusted, after: Adjusted, i: int) -> bool:
             or contradiction_after.severity < contradiction_before.severity / 2)
 
 
-def contradicted(adjusted: Adjusted) -> dict[int, Contradiction]:
+def contradictions_of(adjusted: Adjusted) -> dict[int, Contradiction]:
     """Return how far each image contradicts its model, by number; only those beyond chance.
 
     Beyond chance: by less than the probability `CONTRADICTED_BELOW`. Empty if no image does.
@@ -180,7 +180,7 @@ def doubts_of_models(block: Block, adjusted: Adjusted) -> list[str]:
     return [f"Points and ties of {block.images[i].name} contradict what the model "
             f"{block.images[i].model!r} knows of cameras{_terms_in_words(contradiction)}. Its "
             "errors may be larger than is predicted: compare with auto."
-            for i, contradiction in contradicted(adjusted).items()]
+            for i, contradiction in contradictions_of(adjusted).items()]
 
 
 def against_dem(ground: FloatArray, adjusted: Adjusted, dem: Surface) -> tuple[float, str]:

@@ -83,7 +83,7 @@ class Deap(Solver):
         if o["algorithm"] == "eaMuCommaLambda" and children < mu:
             raise TermselError(f"eaMuCommaLambda keeps {mu} of {children} children",
                                hint="Raise children or lower the population.")
-        yield from evolved(box, loop, rng, mu, {**chances, "mu": mu, "lambda_": children})
+        yield from generations_of(box, loop, rng, mu, {**chances, "mu": mu, "lambda_": children})
 
 
 def _loop(loop_name: str) -> Callable[..., Any]:
@@ -110,8 +110,8 @@ def _loop(loop_name: str) -> Callable[..., Any]:
     return loop
 
 
-def evolved(box: base.Toolbox, loop: Callable[..., Any], rng: np.random.Generator, population: int,
-            arguments: Mapping[str, Any]) -> Iterator[Generation]:
+def generations_of(box: base.Toolbox, loop: Callable[..., Any], rng: np.random.Generator,
+                   population: int, arguments: Mapping[str, Any]) -> Iterator[Generation]:
     """Yield the generations of a DEAP algorithm.
 
     The toolbox is as `to_deap` returns it, perhaps with other operators. The loop takes population
@@ -230,7 +230,7 @@ def from_deap(toolbox_factory: Callable[[Problem], base.Toolbox],
                 raise TermselError(f"the function {factory_name!r} returned no DEAP toolbox",
                                    hint="Return what termsel_optimisers.to_deap(problem) returned.")
             # Twice as many children as parents, unless the user says otherwise.
-            yield from evolved(box, algorithm, rng, n,
+            yield from generations_of(box, algorithm, rng, n,
                                {"mu": n, "lambda_": 2 * n, **loop_arguments})
 
     FromDeap.name = name or factory_name.strip("_").replace("_", "-").lower()

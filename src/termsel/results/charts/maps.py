@@ -270,11 +270,11 @@ def _residual_layers(view: View, rows: list[Row], x: Any, y: Any, vector: tuple[
     picked = alt.selection_point(name="picked", fields=["id"], empty=False)
     base = alt.Chart(chart_rows(rows))
     if member is not None:
-        base = _of_member(base, view)
+        base = _with_residuals_of_member(base, view)
     base = base.transform_calculate(
         # The share of an arrow that lies within the map.
-        drawn=f"max(0, min(1, {_to_rim(at_x, horizontal, extent.x)}, "
-              f"{_to_rim(at_y, vertical, extent.y)}))",
+        drawn=f"max(0, min(1, {_share_to_rim(at_x, horizontal, extent.x)}, "
+              f"{_share_to_rim(at_y, vertical, extent.y)}))",
     ).transform_calculate(
         end_x=f"datum.{at_x} + datum.drawn * exaggeration * datum.{horizontal}",
         end_y=f"datum.{at_y} + datum.drawn * exaggeration * datum.{vertical}",
@@ -314,7 +314,7 @@ def _residual_layers(view: View, rows: list[Row], x: Any, y: Any, vector: tuple[
     return [shafts.add_params(drag), heads, blunder_rings, picked_ring, *symbols]
 
 
-def _of_member(base: Any, view: View) -> Any:
+def _with_residuals_of_member(base: Any, view: View) -> Any:
     """Return a chart whose rows have the residuals and roles of the member that is chosen."""
     # The data of the page hold the residuals of all members, and the browser takes those of the
     # choice.
@@ -327,8 +327,12 @@ def _of_member(base: Any, view: View) -> Any:
              f"datum.uses[{number}] ? 'control' : 'left out'")
 
 
-def _to_rim(position: str, component: str, domain: tuple[float, float]) -> str:
-    """Return how often an arrow fits between its point and the rim it points to, for Vega."""
+def _share_to_rim(position: str, component: str, domain: tuple[float, float]) -> str:
+    """Return for Vega how long the way from a point to the rim is, by the length of its arrow.
+
+    `position` and `component` are the fields of the point and of the residual along one axis, whose
+    least and greatest values are `domain`.
+    """
     length = f"(exaggeration * datum.{component})"
     low, high = domain
     return (f"({length} > 0 ? ({high:.12g} - datum.{position}) / {length} : "
@@ -337,7 +341,11 @@ def _to_rim(position: str, component: str, domain: tuple[float, float]) -> str:
 
 def _bar(x0: float, y0: float, length: float, text: str, at_x: str, at_y: str, x: Any, y: Any,
          ) -> Any:
-    """Return the bar that says how long a residual is drawn."""
+    """Return the bar that says how long a residual is drawn.
+
+    It begins at `x0` and `y0` and stands for a residual of `length`, in units of the axes `x` and
+    `y`, whose fields are `at_x` and `at_y`; `text` is the length in words.
+    """
     alt = require_altair()
     base = alt.Chart(chart_rows([{at_x: x0, at_y: y0, "length": length, "text": text}])
                      ).transform_calculate(end=f"datum.{at_x} + exaggeration * datum.length")

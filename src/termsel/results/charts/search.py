@@ -95,7 +95,7 @@ def _mark_recommended(view: View) -> int:
 def convergence(view: View) -> Any:
     """Return a chart of the population's best and median, and of its infeasible share."""
     alt = require_altair()
-    history = spaced(view.record.history, MAX_GENERATIONS_SHOWN)
+    history = evenly_spaced(view.record.history, MAX_GENERATIONS_SHOWN)
     criterion = view.record.criterion
     lines: list[Row] = []
     for generation in history:
@@ -128,7 +128,7 @@ def convergence(view: View) -> Any:
         width=WIDTH, height=0.45 * WIDTH)
 
 
-def refined(view: View) -> str:
+def refinement_remark(view: View) -> str:
     """Return how many evaluations follow the search in its local refinement; "" if none do."""
     searched = view.record.history[-1].evaluations
     refining = view.record.evaluations - searched
@@ -143,7 +143,7 @@ def empires(view: View) -> Any:
     # A chart of more areas than AREAS takes a browser seconds to draw.
     generations = max(AREAS // max(len(generation.empires) for generation in counted), 2)
     rows: list[Row] = []
-    for generation in spaced(counted, generations):
+    for generation in evenly_spaced(counted, generations):
         remaining = sum(map(bool, generation.empires))
         for i, countries in enumerate(generation.empires):
             rows.append({"evaluations": generation.evaluations, "empire": i + 1,
@@ -167,7 +167,7 @@ def with_unit(criterion: str) -> str:
     return f"{criterion} [px]" if criterion in _IN_PIXELS else criterion
 
 
-def spaced(history: Sequence[HistoryRow], limit: int) -> list[HistoryRow]:
+def evenly_spaced(history: Sequence[HistoryRow], limit: int) -> list[HistoryRow]:
     """Return evenly spaced generations, the first and the last among them.
 
     Parameters

@@ -11,7 +11,7 @@ from termsel.data.features import FloatArray, IntArray
 from termsel.selection.best_subsets.columns.kernels import RSS
 from termsel.selection.best_subsets.columns.system import BITS, Masks, SubtreeNode, better
 from termsel.selection.best_subsets.score_systems import ScoreSystems
-from termsel.selection.best_subsets.splicing import spliced, tells_changes
+from termsel.selection.best_subsets.splicing import best_by_splicing, tells_changes
 
 _RESTARTS = 8  # of the descent
 _KICKS = 16  # restarts around the best that may fail in a row
@@ -84,7 +84,7 @@ def _descend_from(systems: ScoreSystems, starts: list[IntArray]) -> tuple[FloatA
             nodes += len(changes)
             improved = None
             if tells_changes(systems):
-                improved = spliced(systems, mask, best, masks, infeasible)
+                improved = best_by_splicing(systems, mask, best, masks, infeasible)
             if improved is not None:
                 best, masks = improved
                 continue

@@ -31,9 +31,9 @@ from termsel.selection.best_subsets.columns.arrays import (
 )
 from termsel.selection.best_subsets.columns.kernels import LINEAR, PRESS, RATIONAL, RSS, walk
 from termsel.selection.best_subsets.columns.reduction import (
-    by_gain,
-    by_halves,
     fewer_rows,
+    ordered_by_gain,
+    ordered_by_halves,
     triangle_of,
 )
 from termsel.selection.best_subsets.columns.system import (
@@ -407,10 +407,10 @@ def score_systems(system: SubsetSystem, score: str, folds: Sequence[IntArray],
     systems, times_held_out = _rows_of_systems(system, score, kind, folds)
     if score != "check":
         control = np.column_stack([system.design, system.target])
-        candidates = by_gain(control, used, candidates, k)
+        candidates = ordered_by_gain(control, used, candidates, k)
     elif rational:
         below = _denominators(system.denominator, system.design, k)
-        candidates = by_halves(candidates, np.asarray(below[:, :k].any(axis=0)))
+        candidates = ordered_by_halves(candidates, np.asarray(below[:, :k].any(axis=0)))
     room = len(candidates)
     if max_terms is not None:
         room = min(room, max_terms - len(used))

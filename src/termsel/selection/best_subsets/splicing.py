@@ -23,7 +23,7 @@ ROUNDING = 1e-9
 """A subset reached in another order differs by less."""
 
 
-def spliced(systems: ScoreSystems, mask: int, best: FloatArray, masks: Masks,
+def best_by_splicing(systems: ScoreSystems, mask: int, best: FloatArray, masks: Masks,
             infeasible: set[bytes]) -> tuple[FloatArray, Masks] | None:
     """Return the best score and mask of each size, (k + 1,) each, after all changes of a subset.
 
@@ -65,7 +65,7 @@ def spliced(systems: ScoreSystems, mask: int, best: FloatArray, masks: Masks,
 
 
 def tells_changes(systems: ScoreSystems) -> bool:
-    """Return whether `spliced` knows the score: residuals, or errors of check points, one target's.
+    """Return whether `best_by_splicing` knows the score: residuals, or check errors of one target.
     """
     one_target = systems.systems[0].control.shape[1] == systems.k + 1
     return systems.kind == RSS or (systems.kind in (LINEAR, RATIONAL) and one_target

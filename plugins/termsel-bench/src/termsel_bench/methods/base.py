@@ -31,8 +31,8 @@ FUNCTION = "georeference"
 PEERS: Mapping[str, Callable[[FeatureSet, int], Projection]] = {
     "gdal-polynomial": peers.gdal_polynomial, "gdal-tps": peers.gdal_spline,
     "orthority": peers.orthority, "opencv": peers.opencv, "ransac": peers.ransac,
-    "scikit-learn": peers.ridge, "deap-script": scripts.by_deap,
-    "pymoo-script": scripts.by_pymoo}
+    "scikit-learn": peers.ridge, "deap-script": scripts.deap_projection,
+    "pymoo-script": scripts.pymoo_projection}
 """Methods that termsel is compared with."""
 
 

@@ -90,7 +90,7 @@ class Cubic:
         return lambda ground: self.columns(ground) @ coefficients
 
 
-def by_deap(features: FeatureSet, seed: int) -> Projection:
+def deap_projection(features: FeatureSet, seed: int) -> Projection:
     """Return the projection of the terms that `deap.algorithms.eaSimple` selects."""
     from deap import algorithms, base, tools
 
@@ -125,7 +125,7 @@ def by_deap(features: FeatureSet, seed: int) -> Projection:
     return problem.projection(np.array(best[0], dtype=bool))
 
 
-def by_pymoo(features: FeatureSet, seed: int) -> Projection:
+def pymoo_projection(features: FeatureSet, seed: int) -> Projection:
     """Return the projection of the terms that pymoo's GA with binary operators selects."""
     with requires("the peer requires", "pymoo", "pymoo"):
         from pymoo.algorithms.soo.nonconvex.ga import GA

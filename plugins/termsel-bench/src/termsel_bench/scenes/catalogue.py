@@ -91,7 +91,7 @@ def set_names(pattern: str = "") -> list[str]:
 
 
 @lru_cache(maxsize=2)
-def simulated(name: str) -> BenchSet:
+def simulated_set(name: str) -> BenchSet:
     """Return a set, simulated here and checked against its checksums.
 
     Raises
@@ -101,7 +101,7 @@ def simulated(name: str) -> BenchSet:
     """
     if name not in SETS:
         raise unknown_name("set", name, set(SETS))
-    bench_set = made(name)
+    bench_set = simulate_set(name)
     frozen = checksums()
     for file, checksum in bench_set.checksums().items():
         if frozen.get(file) != checksum and not _differs_by_rounding(bench_set, file):
@@ -134,7 +134,7 @@ def checksums() -> dict[str, str]:
     return {file["name"]: file["sha256"] for file in described["distribution"]}
 
 
-def made(name: str) -> BenchSet:
+def simulate_set(name: str) -> BenchSet:
     """Return a set as it is simulated here, even if it is not the frozen one."""
     settings = SETS[name]
     features, independent = _MAKERS.get(settings.kind, _camera)(settings)
@@ -202,7 +202,7 @@ def _matches(settings: SetSettings) -> tuple[FeatureSet, Points]:
     return features.with_(points=replace(features.points, image=image)), independent
 
 
-def _with_vendor_rpc(settings: SetSettings) -> tuple[FeatureSet, Points]:
+def _vendor_rpc_image(settings: SetSettings) -> tuple[FeatureSet, Points]:
     """Return control of an image whose vendor's RPC is off, and independent points."""
     count = settings.count
     scene = image_of("steady", settings.seed + 200, FRESH, count + INDEPENDENT + _VENDOR, count)
@@ -231,4 +231,4 @@ def _directions(rng: Generator, count: int) -> np.ndarray[tuple[int, int], np.dt
 
 
 _MAKERS: Mapping[str, Callable[[SetSettings], tuple[FeatureSet, Points]]] = {
-    "old-map": _map, "vendor-rpc": _with_vendor_rpc, "matches": _matches, "lines": _lines}
+    "old-map": _map, "vendor-rpc": _vendor_rpc_image, "matches": _matches, "lines": _lines}

@@ -15,7 +15,7 @@ from typing import Any
 import termsel_bench
 from termsel.toolkit import write_text
 from termsel_bench.scenes.base import INDEPENDENT, BenchSet, means_of
-from termsel_bench.scenes.catalogue import MEANS, METADATA, SETS, made
+from termsel_bench.scenes.catalogue import MEANS, METADATA, SETS, simulate_set
 from termsel_bench.scenes.measured import FOLDS, measured
 
 VERSION = "1.0.0"
@@ -47,7 +47,7 @@ POINT_COLUMNS = {
 """Type and meaning of the columns of points."""
 
 
-def described(sets: Iterable[BenchSet]) -> dict[str, Any]:
+def croissant_description(sets: Iterable[BenchSet]) -> dict[str, Any]:
     """Return the description of simulated sets in Croissant, as JSON-LD."""
     described_sets = list(sets)
     files: list[dict[str, Any]] = []
@@ -126,8 +126,8 @@ def _points_of(bench_set: BenchSet) -> dict[str, Any]:
 def freeze(folder: Path) -> None:
     """Write the description and the means of all sets, as they are simulated here, into a folder.
     """
-    sets = [made(name) for name in SETS]
-    write_text(folder / METADATA, json.dumps(described(sets), indent=1) + "\n")
+    sets = [simulate_set(name) for name in SETS]
+    write_text(folder / METADATA, json.dumps(croissant_description(sets), indent=1) + "\n")
     means: dict[str, list[float]] = {}
     for bench_set in sets:
         means |= {file: means_of(text)[0] for file, text in bench_set.files().items()}

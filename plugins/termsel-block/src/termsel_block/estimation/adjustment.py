@@ -13,7 +13,7 @@ from termsel_block.estimation.unknowns import Adjusted, Measured, State
 from termsel_block.evidence.factors import log_bayes_factor
 from termsel_block.evidence.growing import TRIED_BELOW, p_value_of_columns
 from termsel_block.evidence.integrating import MAX_INTEGRATED, integrate, unknown
-from termsel_block.evidence.variances import estimated, looser
+from termsel_block.evidence.variances import estimate_variances, looser
 from termsel_block.geometry.control import OwnControl
 from termsel_block.geometry.frame import FloatArray
 from termsel_block.geometry.heights import Heights
@@ -178,7 +178,7 @@ class _Run(Steps):
         parameters = []
         # Parameters are in standard deviations of their priors, so that both change together.
         for camera, old in zip(state.cameras, state.parameters, strict=True):
-            loosened, converted = camera.loosened(factors, old)
+            loosened, converted = camera.with_priors(factors, old)
             cameras.append(loosened)
             parameters.append(converted)
         state.cameras = cameras
@@ -197,14 +197,16 @@ class _Run(Steps):
         # Priors as first guessed: the function takes them off again, and draws the variances.
         loose = self.linearised([np.square(camera.prior_sigma) for camera in state.cameras])
         integrated = integrate(loose.reduced.whole(), np.concatenate(loose.steps), state.cameras,
-                               state.parameters, loose.reduced.slices, self.heights.guessed())
+                               state.parameters, loose.reduced.slices,
+                               self.heights.guessed_offset_weight())
         # The step to the posterior mean, with the covariance over all variances.
         self.solved = loose.at(integrated.mean, integrated.covariance)
         tie_positions = [self._positions_of_ties(i) for i in range(len(state.cameras))]
         tie_moves = self._tie_moves()
         state.ties = state.ties + self.solved.ties
         state.parameters = [
-            camera.followed(old, step, tie_position + tie_move, state.ties[tie_rows.tie])
+            camera.parameters_after_step(old, step, tie_position + tie_move,
+                                         state.ties[tie_rows.tie])
             for camera, old, step, tie_position, tie_move, tie_rows in zip(
                 state.cameras, state.parameters, self.solved.steps[:-1], tie_positions, tie_moves,
                 self.solved.tie_rows[:-1], strict=True)]
@@ -271,7 +273,7 @@ class _Run(Steps):
         state.sigma_control = float(np.sqrt((squares + _PRIOR_COUNT * state.sigma_ties**2)
                                             / (expected + _PRIOR_COUNT - MEDIAN)))
         state.freedom_control = expected + _PRIOR_COUNT
-        state.variances = estimated(
+        state.variances = estimate_variances(
             state.cameras, state.parameters, covariances, state.variances)
         self.heights.estimate(state.ties, self.solved.of_ties, rays_of_tie > 1.0)
         after = np.array([state.sigma_ties, state.sigma_control, self.heights.sigma])
@@ -372,7 +374,7 @@ class _Run(Steps):
         rows = sum(map(len, of_control))
         limit = max(WRONG, -float(stdtrit(state.freedom_control, _ANY / (2 * max(rows, 1)))))
         for i, (residual, control) in enumerate(zip(of_control, self.control, strict=True)):
-            is_blunder = np.abs(residual) > limit * self.expected(i)
+            is_blunder = np.abs(residual) > limit * self.residual_deviations(i)
             # Both rows of a point, or of a line, go together.
             names = {name for name, is_wrong in zip(control.feature, is_blunder, strict=True)
                      if is_wrong}

@@ -9,8 +9,8 @@ from termsel_block.geometry.frame import FloatArray
 from termsel_block.geometry.heights import Heights
 
 
-def of_heights(heights: Heights, ties: FloatArray,
-               ) -> tuple[TieRows, FloatArray, FloatArray, FloatArray, FloatArray]:
+def height_equations(heights: Heights, ties: FloatArray,
+                     ) -> tuple[TieRows, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return what heights add to the normal equations of a block of t ties.
 
     These are the rows of the heights; matrix (2, 2) and right-hand side (2,) of the offset's own
@@ -19,7 +19,7 @@ def of_heights(heights: Heights, ties: FloatArray,
     stays zero.
     """
     # Of each height: surface + offset - height = 0, weighed by the roughness.
-    observed = heights.observed(ties)
+    observed = heights.tie_observations(ties)
     count = len(ties)
     weight = np.where(observed.joint, observed.weight, 0.0)
     slopes = np.zeros((count, 2, 3))
@@ -27,7 +27,7 @@ def of_heights(heights: Heights, ties: FloatArray,
     # The derivative of the height by the tie's position, in the row of the first axis.
     slopes[:, 0] = observed.row
     residual[:, 0] = observed.away
-    normal, right = heights.of_offset()
+    normal, right = heights.offset_equation()
     # Ties without the offset (off the DEM) add to their own equations alone.
     own_weight = observed.weight - weight
     # Rows by the offset are -1: what is observed grows with it, and the residual gets smaller.

@@ -76,7 +76,7 @@ class Solved:
         return self.reduced.image_covariances()
 
     def at(self, step: FloatArray, covariance: FloatArray) -> Solved:
-        """Return this solution with another step (all parameters) and their covariance.
+        """Return this solution with another step of all parameters (p,) and their covariance.
 
         Steps of the ties follow from it: x = H^-1 (b - B^T p).
         """
@@ -139,7 +139,10 @@ class Reduced:
         return np.asarray(matrix if isinstance(matrix, np.ndarray) else matrix.toarray())
 
     def with_inverse(self, covariance: FloatArray) -> Reduced:
-        """Return a copy whose covariance is this one, such as a posterior's, not the inverse."""
+        """Return a copy with another covariance (size, size) in place of the inverse.
+
+        It is a posterior's, such as that over all variances.
+        """
         copied = copy(self)
         copied.inverse = covariance
         return copied

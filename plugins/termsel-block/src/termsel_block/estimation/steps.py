@@ -97,7 +97,7 @@ class Steps:
             # Priors of zero mean add V^-1 to the matrix and -V^-1 x to the right side.
             of_images.append(block + precision)
             right.append(of_control - precision @ parameters)
-        of_heights, normal, aim, of_ties, right_of_ties = common.of_heights(
+        of_heights, normal, aim, of_ties, right_of_ties = common.height_equations(
             self.heights, state.ties)
         # A tie that no image in use sees would leave its equations singular.
         of_ties = of_ties + np.eye(3) * _UNSEEN_MOVE**-2
@@ -126,8 +126,8 @@ class Steps:
             self.share = 0.5**halvings
             state.ties = ties + self.share * solved.ties
             state.parameters = [
-                camera.followed(old, self.share * step, at + self.share * moved,
-                                state.ties[rows.tie])
+                camera.parameters_after_step(old, self.share * step, at + self.share * moved,
+                                             state.ties[rows.tie])
                 for camera, old, step, at, moved, rows in zip(
                     state.cameras, parameters, solved.steps[:-1], start, self._tie_moves(),
                     solved.tie_rows[:-1], strict=True)]
@@ -161,7 +161,7 @@ class Steps:
             total += float((square / (1 + far)) @ state.control_in_use[i])
         return total
 
-    def expected(self, i: int) -> FloatArray:
+    def residual_deviations(self, i: int) -> FloatArray:
         """Return the standard deviations of the residuals of an image's control (n,) [px].
 
         A row that counts draws the image to itself, so that its residual is less than its error.
@@ -241,7 +241,7 @@ class Steps:
         p = len(camera.groups)
         if not len(control):
             return np.zeros((p, p)), np.zeros(p)
-        # Kept for `expected` and for the estimates of variances, which are of the same equations.
+        # Kept for `residual_deviations` and for the estimates of variances: of the same equations.
         rows, residual = self._control_rows(i, camera, control)
         self.design[i] = rows
         self.noise[i] = sigma = self.state.sigma_control * control.sigma

@@ -94,7 +94,7 @@ def integrate(normal: FloatArray, step: FloatArray, cameras: Sequence[Camera],
 
     Notes
     -----
-    The model is that of `variances.estimated`: a group of columns has one standard deviation in all
+    The model is that of `variances.estimate_variances`: a group has one standard deviation in all
     images, half t about a first guess. Each image's own follows it with `OWN` degrees of freedom.
     Taken as known they would make errors look smaller than they are, as 20 columns show a variance
     to a third. So is that of a DEM's offset.

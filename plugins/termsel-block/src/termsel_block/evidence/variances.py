@@ -20,7 +20,7 @@ TAIL = 4.0
 """Degrees of freedom of the prior: without data the mean of the variance is twice the guess's."""
 
 
-def estimated(cameras: Sequence[Camera], parameters: Sequence[FloatArray],
+def estimate_variances(cameras: Sequence[Camera], parameters: Sequence[FloatArray],
               covariances: Sequence[FloatArray], variances: Sequence[FloatArray],
               ) -> list[FloatArray]:
     """Return the new variance of each parameter of each image [px2].

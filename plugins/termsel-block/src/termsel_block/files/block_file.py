@@ -32,7 +32,7 @@ from termsel_block.block import CORRECTIONS, Block, BlockImage, Ties
 from termsel_block.estimation.equations import pairs
 from termsel_block.files.asp import asp_rows, is_asp
 from termsel_block.geometry.control import in_use
-from termsel_block.geometry.physical import MODELS, in_a_block
+from termsel_block.geometry.physical import MODELS, hint_for_block
 
 COLUMNS = {"id": ("id", "tie", "name", "point"), "image": ("image", "img", "scene"),
            "line": ("line", "row", "y_pix"), "sample": ("sample", "col", "column", "x_pix")}
@@ -310,7 +310,7 @@ def _check_model(stated: _Image, options: Mapping[str, Any], has_rpc: bool, path
         with options_of_file(path):
             get("models", stated.model)(**options)
     except TermselError as error:
-        hint = in_a_block(error.hint)
+        hint = hint_for_block(error.hint)
         # Most of the known ones have no priors.
         if error.what.startswith("unknown model"):
             hint = f"{hint.partition('Known:')[0]}{MODELS}"
@@ -339,7 +339,7 @@ def _read_control(stated: _Image, folder: Path, crs: str, dem: Path | None) -> F
     except TermselError as error:
         raise TermselError(error.what.replace("--crs says", "the block says"), file=error.file,
                            line=error.line, column=error.column,
-                           hint=in_a_block(error.hint)) from error
+                           hint=hint_for_block(error.hint)) from error
 
 
 def _part_of(stated: _Image, folder: Path) -> dict[str, Any]:

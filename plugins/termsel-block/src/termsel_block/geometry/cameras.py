@@ -120,16 +120,16 @@ class Camera(ABC):
             slopes[:, :, axis] = (self.project(parameters, shifted) - image) / _GROUND_STEP
         return slopes
 
-    def followed(self, parameters: FloatArray, step: FloatArray, aim: FloatArray,
-                 local: FloatArray) -> FloatArray:
+    def parameters_after_step(self, parameters: FloatArray, step: FloatArray, aim: FloatArray,
+                              local: FloatArray) -> FloatArray:
         """Return parameters (p,) after a step (p,), which moves places (n, 3) to an aim (n, 2).
 
-        What is linear is there.
+        A linear camera reaches the aim by the step alone.
         """
         return np.asarray(parameters + step)
 
-    def loosened(self, of_terms: Mapping[str, float], parameters: FloatArray,
-                 ) -> tuple[Camera, FloatArray]:
+    def with_priors(self, of_terms: Mapping[str, float], parameters: FloatArray,
+                    ) -> tuple[Camera, FloatArray]:
         """Return the camera with other standard deviations of stated terms, and parameters by them.
         """
         return self, parameters

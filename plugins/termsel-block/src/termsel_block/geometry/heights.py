@@ -43,7 +43,7 @@ class ControlHeights:
     over: FloatArray = field(default_factory=lambda: np.empty(0))
     of_rows: tuple[IntArray, ...] = ()
 
-    def agreed(self, rows: Sequence[BoolArray]) -> BoolArray:
+    def in_use_by_most(self, rows: Sequence[BoolArray]) -> BoolArray:
         """Return which heights (h,) are in use in most of the rows that images have of them.
 
         `rows` says of each image which of its rows of control are in use.
@@ -119,8 +119,8 @@ class Heights:
         self.control = self._near_median(self.control_heights.over)
 
     def keep(self, rows: Sequence[BoolArray]) -> None:
-        """Take the heights of control most of whose rows are in use; `rows` is as for `agreed`."""
-        is_agreed = self.control_heights.agreed(rows)
+        """Take the heights of control most of whose rows are in use (see `in_use_by_most`)."""
+        is_agreed = self.control_heights.in_use_by_most(rows)
         self.control = self._near_median(self.control_heights.over[is_agreed])
 
     def _near_median(self, over: FloatArray) -> FloatArray:
@@ -148,7 +148,7 @@ class Heights:
         """Heights of one image or of control that count by themselves."""
         return _LIKE_GROUND if self.surface is None else _LIKE_ERRORS
 
-    def observed(self, ties: FloatArray) -> Observed:
+    def tie_observations(self, ties: FloatArray) -> Observed:
         """Return each tie's height as an observation of how far the surface is above it."""
         away, joint = self._below_surface(ties)
         # Heights of a crowded image weigh less, so that all together count as `_max_count` at most.
@@ -170,14 +170,14 @@ class Heights:
     def equations(self, ties: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the part of the heights in the ties' normal equations, (t, 3, 3) and (t, 3)."""
         # H = w a a^T and b = w a r of each tie, by its row a and residual r.
-        observed = self.observed(ties)
+        observed = self.tie_observations(ties)
         return (np.einsum("t,ti,tj->tij", observed.weight, observed.row, observed.row),
                 (observed.weight * observed.away)[:, None] * observed.row)
 
-    def of_offset(self) -> tuple[float, float]:
-        """Return the part of prior and control in the normal equation of the offset.
+    def offset_equation(self) -> tuple[float, float]:
+        """Return what prior and control add to the normal equation of the offset.
 
-        Weight, right side.
+        That is the weight [1/m2] and the right side [1/m], for a change of the offset as it is now.
         """
         # Normal equation (p + n w) o = w sum(h) of the offset o, less its value now.
         prior = self._weight_of_prior()
@@ -186,16 +186,16 @@ class Heights:
                 weight * float((self.control - self.offset).sum()) - prior * self.offset)
 
     def _weight_of_prior(self) -> float:
-        """Return the weight of no offset: a DEM that is hundreds of metres off is not of the kind.
+        """Return the weight [1/m2] of the prior of the offset, whose mean is 0.
+
+        A DEM that is hundreds of metres off is not of the kind that is expected.
         """
         return (self.spread / 2 if self.surface is None else max(OFF, self.far, self.doubt)) ** -2
 
-    def guessed(self) -> float | None:
-        """Return the weight of no offset if it is a guess, as of a DEM.
+    def guessed_offset_weight(self) -> float | None:
+        """Return the weight [1/m2] of the prior of the offset if it is a guess, that of a DEM.
 
-        None if there is no surface.
-
-        Few DEMs are far off, and those are far off.
+        It is a guess as few DEMs are far off, but by any length. None without a DEM.
         """
         return None if self.surface is None else self._weight_of_prior()
 
@@ -220,7 +220,7 @@ class Heights:
             Of the ties' places, with the images as they are [m2].
         """
         self.far = abs(self.offset)
-        all_seen = self.observed(ties)
+        all_seen = self.tie_observations(ties)
         at = is_seen & all_seen.joint
         row = all_seen.row[at]
         away = all_seen.away[at]

@@ -137,14 +137,14 @@ class PhysicalCamera(Camera):
         p = len(terms)
         return np.asarray(np.moveaxis(images[:p] - images[p:], 0, -1) / (2 * _TERM_STEP))
 
-    def followed(self, parameters: FloatArray, step: FloatArray, aim: FloatArray,
-                 local: FloatArray) -> FloatArray:
-        """Return parameters after a step (see `Camera.followed`).
+    def parameters_after_step(self, parameters: FloatArray, step: FloatArray, aim: FloatArray,
+                              local: FloatArray) -> FloatArray:
+        """Return parameters after a step (see `Camera.parameters_after_step`).
 
         Altitude, pixel and period together hardly show. A step along them is bent back to where it
         has to be seen, else only small ones would make things better.
         """
-        stepped = super().followed(parameters, step, aim, local)
+        stepped = super().parameters_after_step(parameters, step, aim, local)
         bent = stepped
         for _ in range(_BENDINGS if len(local) else 0):
             rows = self.jacobian(bent, local).reshape(-1, bent.size)
@@ -156,8 +156,8 @@ class PhysicalCamera(Camera):
                 rows.T @ rows + _STEP_WEIGHT * np.eye(bent.size), right))
         return bent
 
-    def loosened(self, of_terms: Mapping[str, float], parameters: FloatArray,
-                 ) -> tuple[PhysicalCamera, FloatArray]:
+    def with_priors(self, of_terms: Mapping[str, float], parameters: FloatArray,
+                    ) -> tuple[PhysicalCamera, FloatArray]:
         """Return the camera with other standard deviations, and its parameters (p,) by them.
 
         Parameters
@@ -216,7 +216,7 @@ class PhysicalCamera(Camera):
         return np.asarray(self.scaling.pixels(scaled))
 
 
-def in_a_block(hint: str | None) -> str:
+def hint_for_block(hint: str | None) -> str:
     """Return a hint for the commands of one image as one for the file of a block."""
     hint = hint or ""
     if "--rpc" in hint:
@@ -245,7 +245,7 @@ class PhysicalModel:
                                     FeatureSet(points, crs=frame.crs), frame)
         except TermselError as error:
             raise TermselError(f"image {of!r}: {error.what}",
-                               hint=in_a_block(error.hint)) from error
+                               hint=hint_for_block(error.hint)) from error
         missed = float(np.median(np.hypot(*(image - camera.project(camera.start, local)).T)))
         if not missed <= ABSURD * float(np.ptp(image, axis=0).max()):
             raise TermselError(f"image {of!r}: model {self.name!r} misses half of its points by "

@@ -10,7 +10,7 @@ import numpy as np
 
 from termsel.toolkit import off_as_a_whole
 from termsel.toolkit.runs import rpc_without_record
-from termsel_block.accuracy import in_space, independent_points, predicted, rmse
+from termsel_block.accuracy import errors_in_space, independent_points, predicted, rmse
 from termsel_block.contradictions import doubts_of_models
 from termsel_block.geometry.cameras import RpcCamera
 from termsel_block.geometry.frame import IntArray
@@ -127,8 +127,8 @@ def record_of(result: BlockResult) -> BlockRecord:
     block = result.block
     adjusted = result.adjusted
     images = [_image(result, i) for i in range(len(block.images))]
-    space = in_space(result)
-    joined_images = joined(block.ties.tie, block.ties.image, len(block.images))
+    space = errors_in_space(result)
+    joined_images = connected_images(block.ties.tie, block.ties.image, len(block.images))
     east, north, up = np.median(result.sigma_ties[times_seen(result) > 1], axis=0).tolist()
     parts = []
     for indices in joined_images:
@@ -289,7 +289,7 @@ def times_seen(result: BlockResult) -> IntArray:
     return count
 
 
-def joined(tie: Any, image: Any, count: int) -> list[list[int]]:
+def connected_images(tie: Any, image: Any, count: int) -> list[list[int]]:
     """Return the groups of images that ties join, directly or by others, as lists of numbers.
 
     `tie` and `image` (n,) are those of each measurement, `count` is the number of images. An image

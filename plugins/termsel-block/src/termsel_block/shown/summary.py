@@ -66,11 +66,11 @@ def read_in(record: BlockRecord) -> str:
 
 def facts(record: BlockRecord) -> list[Fact]:
     """Return the accuracy, the outliers, the datum, cautions and the next step."""
-    return [*_labelled("Accuracy", _accuracy(record)), Fact(_blunders(record), "Outliers"),
+    return [*_with_label("Accuracy", _accuracy(record)), Fact(_blunders(record), "Outliers"),
             Fact(record.datum, "Datum"),
             Fact(f"ties {record.sigma_ties:.2f} px, control points {record.sigma_control:.2f} px "
                  "(sigma of image measurements)", "Precision"),
-            *_labelled("Caution", _cautions(record)),
+            *_with_label("Caution", _cautions(record)),
             Fact(f"more control points or ties in {_least_certain(record)[0].name}, the least "
                  "certain image", "Next")]
 
@@ -80,7 +80,7 @@ def _least_certain(record: BlockRecord) -> list[ImageRecord]:
     return sorted(record.images, key=lambda image: -image.uncertainty)
 
 
-def _labelled(label: str, lines: Iterable[str]) -> Iterator[Fact]:
+def _with_label(label: str, lines: Iterable[str]) -> Iterator[Fact]:
     """Yield lines as facts, the first with the label, the others below it without one."""
     for i, line in enumerate(lines):
         yield Fact(line, label if i == 0 else " ")

@@ -41,7 +41,7 @@ def grafts(stock: BoolArray, scion: BoolArray, genome: Genome) -> BoolArray:
     return grafted
 
 
-def settled(chance: FloatArray, limit: float) -> bool:
+def has_settled(chance: FloatArray, limit: float) -> bool:
     """Return whether the mean chance of the rarer states of free genes is below a limit.
 
     `chance` (free,) is that of being on; False if no gene is free.
@@ -119,7 +119,7 @@ class AntColony(Solver):
             pheromone = renew(pheromone, deposit(ranked), o["evaporation"], o["tau_min"],
                               o["tau_max"])
             chance = pheromone[1] / pheromone.sum(axis=0)  # limits change their sum
-            if settled(chance[problem.genome.free], o["restart"]):
+            if has_settled(chance[problem.genome.free], o["restart"]):
                 champion, champion_evaluation = _elite(1, champion, champion_evaluation, best,
                                                        best_evaluation)
                 grafted = grafts(champion[0], best[0], problem.genome)

@@ -55,7 +55,7 @@ class ScatterMatrix(TermRegression):
                 scatter = swept(scatter, int(j))
         visited = {selection.tobytes()}
         while selection.sum() < regression.most:
-            gain = explained(scatter, len(selection))
+            gain = explained_squares(scatter, len(selection))
             unexplained = np.diag(scatter)[:len(selection)]
             can_enter = (regression.free & ~selection & (lengths > 0)
                          & (unexplained > self.options["tolerance"]))
@@ -71,8 +71,8 @@ class ScatterMatrix(TermRegression):
             scatter = swept(scatter, best)
             selection = larger
             while True:
-                loss = np.where(selection & regression.free, explained(scatter, len(selection)),
-                                np.inf)
+                loss = np.where(selection & regression.free,
+                                explained_squares(scatter, len(selection)), np.inf)
                 worst = int(loss.argmin())
                 smaller = with_column(selection, worst, False)
                 # What has just entered does not leave at once, or the two would alternate.
@@ -151,7 +151,7 @@ def swept(scatter: FloatArray, pivot: int) -> FloatArray:
     return np.asarray(after)
 
 
-def explained(scatter: FloatArray, k: int) -> FloatArray:
+def explained_squares(scatter: FloatArray, k: int) -> FloatArray:
     """Return the part of the targets' square that each of k columns adds, or would leave with it.
     """
     diagonal = np.diag(scatter)[:k]

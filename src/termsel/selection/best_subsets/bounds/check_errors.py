@@ -23,7 +23,7 @@ from termsel.selection.best_subsets.columns.arrays import (
 from termsel.selection.best_subsets.columns.blocks import SHARE, eliminate, pairs, prepare, single
 from termsel.selection.best_subsets.columns.kernels import (
     RATIONAL,
-    at_depth,
+    arrays_at_depth,
     record,
     remove,
     score_of,
@@ -37,7 +37,7 @@ BLOCK = 1 << 7  # subsets up to which inner products alone cost less than a boun
 @_compiled
 def score(kind: int, vectors: Vectors, depth: int, c: int, limits: Limits) -> float:
     """Return the score with column c."""
-    return score_of(kind, at_depth(vectors, depth), c, 1, 1, limits)
+    return score_of(kind, arrays_at_depth(vectors, depth), c, 1, 1, limits)
 
 
 @_compiled

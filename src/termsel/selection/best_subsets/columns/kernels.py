@@ -118,7 +118,7 @@ def _press_squares(level: Depth, n: int, c: int, j: int, limits: Limits) -> floa
 
 
 @_compiled
-def at_depth(vectors: Vectors, depth: int) -> Depth:
+def arrays_at_depth(vectors: Vectors, depth: int) -> Depth:
     """Return views of the arrays at a depth."""
     return Depth(vectors.top[depth], vectors.extra[depth], vectors.square[depth],
                  vectors.share[depth], vectors.leverage[depth], vectors.cross[depth])
@@ -262,8 +262,8 @@ def walk(kind: int, vectors: Vectors, limits: Limits, records: Records, position
     first = 0 if room > 0 else n
     last = n + 1
     while True:
-        level = at_depth(vectors, depth)
-        level_above = at_depth(vectors, max(depth - 1, 0))
+        level = arrays_at_depth(vectors, depth)
+        level_above = arrays_at_depth(vectors, max(depth - 1, 0))
         i = first - 1  # the column that joined last
         if depth > 0:
             for f in range(systems):
