@@ -260,7 +260,9 @@ def _views_at_sight(view: Callable[[FloatArray], FloatArray], positions: FloatAr
                     cameras: int) -> FloatArray:
     """Return times (c, m) at which the first coordinate of a view is 0, and the others, (c, m, .).
 
-    A view gives what it has at times, (., c, m). Cameras that do not see all places are left out.
+    A view gives its coordinates (., c, m) at times (c, m) [s]. Places `positions` (m, 3) [m] are
+    passed in the direction `azimuth` [rad]; `cameras` is their number c. Cameras that do not see
+    all places are left out.
     """
     # A satellite passes the ground at 7 km/s: the first guess of the time.
     guess = positions @ np.array([np.sin(azimuth), np.cos(azimuth), 0.0]) / GROUND_SPEED
@@ -303,8 +305,10 @@ def _turn(vectors: FloatArray, axis: FloatArray, angle: FloatArray) -> None:
 @_compiled
 def _add_rotation(x: FloatArray, y: FloatArray, z: FloatArray, axis: FloatArray, sine: FloatArray,
                   one_less_cosine: FloatArray) -> None:
-    """Turn by Rodrigues' formula, v + sin(angle) a x v + (1 - cos(angle)) a x (a x v).
+    """Turn vectors v by Rodrigues' formula, v + sin(angle) a x v + (1 - cos(angle)) a x (a x v).
 
+    Their components x, y and z (c, m) are changed in place. `axis` (c, 3) is the unit vector a of
+    each camera; `sine` and `one_less_cosine` (c, m) are of its angles.
     The rate of a range is a difference of two, in which rounding shows: it is the same everywhere.
     """
     for c in range(len(axis)):

@@ -418,7 +418,10 @@ def _cached_gaussian_process(measurements: Measurements,
 
 def _solutions_of(grid: Posterior, lengths: tuple[float, float] | None, whitening: FloatArray,
                   weight: float = 1.0) -> FieldSolutions:
-    """Return solutions with their log evidence, the prior probability of the lengths in it."""
+    """Return the solutions of a grid of scales for a field of `lengths`, None without a field.
+
+    Their log evidence contains the prior probability of the lengths, times `weight`.
+    """
     # Each pair of lengths shares its probability among the scales that are tried with it.
     prior = _prior_probability(lengths) * weight
     return FieldSolutions(grid, grid.cells.log_evidence + np.log(prior / len(grid.scales)), lengths,

@@ -144,7 +144,10 @@ def mean_probability(strain: tuple[FloatArray, FloatArray],
 
 @_compiled
 def _multiply_by_power(power: FloatArray, exponent: int, count: int, share: FloatArray) -> None:
-    """Multiply by powers, two binary digits of the exponent at a time; `power` is overwritten."""
+    """Multiply the first `count` of `share` by those of `power` to an exponent, in place.
+
+    Two binary digits of the exponent at a time; `power` is overwritten.
+    """
     while True:
         if exponent & 3 == 3:
             for i in range(count):
@@ -164,7 +167,11 @@ def _multiply_by_power(power: FloatArray, exponent: int, count: int, share: Floa
 
 @_compiled
 def _fill_axis_figures(axis: AxisErrors, start: int, m: int, of_axis: FloatArray) -> None:
-    """Fill in 1 / l, its root, e / l and e^2 / l of m points."""
+    """Fill `of_axis` (4, u, m) with 1 / l, its root, e / l and e^2 / l.
+
+    l and e are the redundancies and errors of `axis` under its u solutions, of the m points from
+    `start` on.
+    """
     for u in range(len(axis.redundancies)):
         for p in range(m):
             inverse = 1.0 / axis.redundancies[u, start + p]
@@ -181,7 +188,11 @@ def _fill_axis_figures(axis: AxisErrors, start: int, m: int, of_axis: FloatArray
 @_inlined
 def _fill_excess(line_square: FloatArray, sample_square: FloatArray, square: float,
                  min_square: float, excess: FloatArray, largest: FloatArray) -> None:
-    """Fill in S / S' - 1 of a cell, and raise the largest of all cells."""
+    """Fill `excess` (m,) with S / S' - 1 of a cell, and raise `largest` (m,), that of all cells.
+
+    S is `square`, and S' without a point: less e^2 / l of line and sample (m,), but at least
+    `min_square`.
+    """
     most = square - min_square
     for p in range(len(excess)):
         removed = line_square[p] + sample_square[p]
@@ -195,7 +206,10 @@ def _fill_excess(line_square: FloatArray, sample_square: FloatArray, square: flo
 @_inlined
 def _fill_share(line_root: FloatArray, sample_root: FloatArray, weight: float, share: FloatArray,
                 total: FloatArray) -> None:
-    """Fill `share` with the factor of a cell without its power, and add it to `total`."""
+    """Fill `share` (m,) with the factor of a cell without its power, and add it to `total` (m,).
+
+    That is `weight` of the cell, S and its probability, times l^-1/2 of line and sample (m,).
+    """
     for p in range(len(share)):
         share[p] = weight * line_root[p] * sample_root[p]
         total[p] += share[p]
@@ -203,7 +217,11 @@ def _fill_share(line_root: FloatArray, sample_root: FloatArray, weight: float, s
 
 @_inlined
 def _fill_power(excess: FloatArray, scale: FloatArray, lowest: float, power: FloatArray) -> None:
-    """Fill in S / S' of a cell by the largest, lest powers overflow."""
+    """Fill `power` (m,) with S / S' of a cell by the largest, lest its powers overflow.
+
+    `excess` (m,) is S / S' - 1, `scale` (m,) 1 over the largest S / S', and `lowest` the least
+    quotient, below which powers underflow.
+    """
     for p in range(len(power)):
         relative = (1.0 + excess[p]) * scale[p]
         power[p] = relative if relative > lowest else lowest
@@ -221,7 +239,12 @@ def _fill_held_out_figures(line: AxisErrors, sample: AxisErrors, square: FloatAr
                            weight: FloatArray, half: int, lowest: float, start: int,
                            workspace: _Workspace,
                            figures: FloatArray) -> None:
-    """Fill rows of `figures`: two errors, chance, statistic, two variances, logarithm."""
+    """Fill rows of `figures` (n, 7): two errors, chance, statistic, two variances, logarithm.
+
+    They are those of the points from `start` on for which `workspace` has room. `square` and
+    `min_square` (c,) are S of the cells and the least S', `weight` (c,) is S times the probability
+    of a cell; `half` and `lowest` are as for the functions above.
+    """
     of_line, of_sample, excess, share, power, sums = workspace
     m = of_line.shape[2]
     _fill_axis_figures(line, start, m, of_line)

@@ -222,7 +222,11 @@ class _Reflections:
 
 def _basis(lead: FloatArray, positions: FloatArray, weights: FloatArray,
            field_columns: SplineColumns) -> _Basis | None:
-    """Return the eigenvectors, or None if the points do not determine an affine function."""
+    """Return the eigenvectors, or None if the points do not determine an affine function.
+
+    `lead` (n, f) are the weighted affine columns of the points, at `positions` (n, 2) in units of
+    the splines; `weights` (n,).
+    """
     n, f = lead.shape
     if n < f + 2:
         return None
@@ -280,7 +284,10 @@ def _basis_of_knots(q: FloatArray, positions: FloatArray, weights: FloatArray,
 
 def _axis_splines(basis: _Basis, targets: FloatArray, smoothings: FloatArray,
                   criterion: str) -> list[AxisSpline]:
-    """Return the splines of several axes with the same weights, from targets (n, axes)."""
+    """Return the splines of several axes with the same weights, from weighted targets (n, axes).
+
+    Of `smoothings` (s,) the one is taken that is best by `criterion`, for each axis.
+    """
     free = targets - basis.q @ (basis.q.T @ targets)
     projections = basis.along(free)
     # What neither affine functions nor kernels span; there M is the identity by the smoothing.
@@ -351,7 +358,11 @@ class _Choice:
 
 def _choose_smoothing(basis: _Basis, projections: FloatArray, null_squares: float,
                       smoothings: FloatArray, criterion: str) -> _Choice:
-    """Return the smoothing by the criterion, where |y|^2 is `null_squares` beyond the kernels."""
+    """Return the best of `smoothings` (s,) by the criterion, "reml" or "gcv".
+
+    `projections` (k,) are the target along the eigenvectors, and `null_squares` is the square of
+    the remaining part of the target, which neither kernels nor affine functions span.
+    """
     n, f = basis.q.shape
     eigenvalues = 1.0 / (basis.values + smoothings[:, None])                               # (s, k)
     null_eigenvalue = 1.0 / smoothings[:, None] if basis.n_null else np.zeros((len(smoothings), 1))

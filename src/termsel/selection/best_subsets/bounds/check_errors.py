@@ -140,7 +140,11 @@ def _root_of_score(best: float, limits: Limits) -> float:
 def _score_exactly(kind: int, vectors: Vectors, limits: Limits, records: Records, depth: int,
                    first: int,
                    count: int, cursor: IntArray, mask: Any, b: SubsetBlock) -> None:
-    """Score one subset of a block from the vectors."""
+    """Score one subset of a block from the vectors, and record it if it is the best of its size.
+
+    It adds `count` columns to the node at `depth`: those of `b.cursor`, counted from `first` on.
+    `cursor` (depths,) and `mask` (uint64) have the columns of the node.
+    """
     n = vectors.top.shape[2] - 1
     # Depths below the node are free while its block is decided. Only what the subset needs is
     # removed: its own later columns and the target.

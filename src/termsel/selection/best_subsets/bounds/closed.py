@@ -140,11 +140,13 @@ def first_closed(top: FloatArray, extra: FloatArray, first: int, n: int, limit: 
 @_compiled
 def _lower_limits(extra: FloatArray, n: int, count: int, upper: FloatArray, inverse: float,
                   space: BoundSpace) -> int:
-    """Lower the limits to their maxima on an ellipsoid.
+    """Lower the limits U and tau in `upper` (c + 1,) to their maxima on the ellipsoid q <= 1.
 
-    With z = L'(-t, x) and h = L^-1 s its points are |z|^2 <= 1 and h'z = 1. The maximum of a linear
-    function a'z is a'h / |h|^2 + ((1 - 1 / |h|^2) (|a|^2 - (a'h)^2 / |h|^2))^1/2. Return 1 if a
-    limit is lower by some share, 0 if none is, -1 if one is negative.
+    `space` has the triangle L of the quadratic q of the target and the `count` - 1 columns before
+    n; `inverse` is |h|^2, one over the least q. With z = L'(-t, x) and h = L^-1 s its points are
+    |z|^2 <= 1 and h'z = 1. The maximum of a linear function a'z is a'h / |h|^2 + ((1 - 1 / |h|^2)
+    (|a|^2 - (a'h)^2 / |h|^2))^1/2. Return 1 if a limit is lower by some share, 0 if none is, -1 if
+    one is negative.
     """
     c = len(upper) - 1
     triangle = space.triangle

@@ -167,7 +167,12 @@ def _drop_column(tree: Tree, d: int, position: int) -> None:
 @_compiled
 def _enumerate_node(tree: Tree, d: int, n: int, room: int, all_in_use: bool, limits: Limits,
                     records: Records, counts: IntArray, single: bool | None) -> None:
-    """Decide all subsets of a node one by one."""
+    """Decide all subsets of a node one by one.
+
+    The node is that at depth `d` of the tree, of `n` columns. Up to `room` columns are added to
+    those in use; with `all_in_use` the n columns are the only subset. `counts` and `single` are as
+    for `branch_residuals`.
+    """
     r = tree.target.shape[1]
     g = records.guard.shape[1]
     work = tree.work

@@ -71,7 +71,10 @@ def prepare(top: FloatArray, extra: FloatArray, first: int, n: int, upper: Float
 def _write_products(rows: FloatArray, height: int, weighted: bool, first: int, n: int,
                     products: Products,
                     b: SubsetBlock) -> float:
-    """Write the inner products of columns from `first` on at level 0; return the target's square.
+    """Write the inner products of columns first, ..., n - 1 at level 0; return the target's square.
+
+    `rows` (n + 1, .) are the columns and the target, of which the first `height` elements count,
+    times the weights of `b` if `weighted`.
     """
     count = n - first
     # Column `count` is the target. Each product is needed once: the matrix is symmetric.

@@ -77,7 +77,11 @@ def squares(t: FloatArray, v: FloatArray, ratio: float) -> float:
 @_compiled
 def _rational_squares(t: FloatArray, v: FloatArray, t_below: FloatArray, v_below: FloatArray,
                       ratio: float, margin: float) -> float:
-    """Return the sum of squared quotients, or infinity below the margin."""
+    """Return the sum of squared quotients, infinity if a denominator is below the margin.
+
+    Their numerators are t - ratio v; of the denominators only the sign is turned,
+    ratio v_below - t_below, as `t_below` is what remains of 0 less them.
+    """
     total = 0.0
     poles = 0
     for row in range(len(t)):
@@ -92,8 +96,9 @@ def _rational_squares(t: FloatArray, v: FloatArray, t_below: FloatArray, v_below
 def _press_squares(level: Depth, n: int, c: int, j: int, limits: Limits) -> float:
     """Return the sum of squared leave-one-out errors; infinite if one is not determined.
 
-    With residual e, leverage h and the denominator's cross-leverage g, a row's leave-one-out
-    error is e / (1 - h), and its denominator is lower by g e / (1 - h).
+    The errors are those of target j, after column c has joined those in use; n is the number of
+    vectors before the targets. With residual e, leverage h and the denominator's cross-leverage g,
+    a row's leave-one-out error is e / (1 - h), and its denominator is lower by g e / (1 - h).
     """
     t = level.top[0, n + j]
     v = level.top[0, c]

@@ -114,7 +114,10 @@ def walk(rows: FeatureRows, state: WalkState, space: EntrySpace, first: int, siz
 @_compiled
 def _keep_selection(state: WalkState, depth: int, size: int, limits: SelectionLimits,
                     remaining: RemainingSelections, count: int) -> int:
-    """Take down a selection that is within its limit, or has no score; return the number."""
+    """Keep the selection of `size` features at a depth if it is within its limit or has no score.
+
+    It is written to row `count` of `remaining`. Return the number of rows then in use.
+    """
     status = state.status[depth]
     if status == OPEN or size < limits.min_size:
         return count
@@ -174,7 +177,12 @@ def _add_feature_rows(rows: FeatureRows, state: WalkState, depth: int, i: int) -
 @_compiled
 def _open_selection(rows: FeatureRows, state: WalkState, space: EntrySpace, depth: int, first: int,
                     further: bool, floor: float, limit: float) -> int:
-    """Solve the selection at a depth by Cholesky; return OPEN, UNKNOWN, SCORED or CARRIED."""
+    """Solve the selection at a depth by Cholesky; return OPEN, UNKNOWN, SCORED or CARRIED.
+
+    `further` says whether features from `first` on may enter: only then are products filled in.
+    `floor` are the squared errors that no selection is below, `limit` those up to which the
+    selection would remain.
+    """
     worst, total, pivot = 0.0, 0.0, 1.0
     # Each part of the unknowns needs its own equations.
     for p in range(len(rows.columns)):
@@ -213,7 +221,8 @@ def _solve_normal(normal: FloatArray, right: FloatArray, k: int, factor: FloatAr
                   y: FloatArray) -> float:
     """Solve N y = r of k unknowns; return the least pivot relative to the trace, 0 if singular.
 
-    `factor` becomes the lower Cholesky factor, with its diagonal inverted.
+    `normal` (., .) has N in its first k rows and columns, the lower triangle; `right` is r.
+    `factor` becomes the lower Cholesky factor, with its diagonal inverted, and `y` the solution.
     """
     trace, least_pivot = 0.0, 1.0
     for i in range(k):
@@ -306,10 +315,10 @@ def _fill_products(rows: FeatureRows, state: WalkState, space: EntrySpace,
 @_compiled
 def _enter_feature(rows: FeatureRows, state: WalkState, space: EntrySpace,
                    depth: int, p: int, i: int) -> float:
-    """Let the rows of feature i enter, one by one; return y'y.
+    """Let the rows of feature i enter part p of the selection at a depth; return y'y of the part.
 
-    Fills `rows`, `share` and `half`, by which h becomes h - share' rows and q becomes q - share'
-    half - half' share, and e and g.
+    They enter one by one. Of `space` are filled `rows`, `share` and `half`, by which h becomes
+    h - share' rows and q becomes q - share' half - half' share, and e and g.
     """
     start = rows.start[p, i]
     middle = rows.start[p, i + 1]
@@ -358,7 +367,7 @@ def _enter_feature(rows: FeatureRows, state: WalkState, space: EntrySpace,
 @_compiled
 def _carry_to_next_depth(rows: FeatureRows, state: WalkState, space: EntrySpace, depth: int,
                          i: int) -> None:
-    """Carry everything to the next depth, with feature i."""
+    """Set h, q, e, g and y'y of the next depth: those of this one after feature i has entered."""
     for p in range(len(rows.columns)):
         state.square[depth + 1, p] = _enter_feature(rows, state, space, depth, p, i)
         start = rows.start[p, i + 1]
@@ -395,7 +404,10 @@ def _carry_to_next_depth(rows: FeatureRows, state: WalkState, space: EntrySpace,
 @_compiled
 def _score_extensions(rows: FeatureRows, state: WalkState, space: EntrySpace,
                       depth: int, i: int, first: int) -> None:
-    """Score the selection at a depth, with feature i unless it is -1, with each one after."""
+    """Fill `totals` of `space` with y'y of the extensions by each feature from `first` on.
+
+    Extended is the selection at a depth with feature i, or as it is if i is -1.
+    """
     n = len(rows.bits)
     for j in range(first, n):
         space.totals[j] = 0.0
@@ -422,9 +434,10 @@ def _score_extensions(rows: FeatureRows, state: WalkState, space: EntrySpace,
 @_compiled
 def _score_single_rows(state: WalkState, depth: int, p: int, i: int, first: int,
                        total: FloatArray) -> None:
-    """Add y'y with feature i and each later one, all of one row.
+    """Add to `total` (n,) y'y of part p with feature i and each one from `first` on.
 
-    It is `_enter_feature` and `_squares_with_feature` in one.
+    All features have one row in the part. It is `_enter_feature` and `_squares_with_feature` in
+    one.
     """
     row = state.h[depth, p, i]
     products = state.q[depth, p, i]
@@ -450,12 +463,16 @@ def _score_single_rows(state: WalkState, depth: int, p: int, i: int, first: int,
 @_compiled
 def _squares_with_feature(start: int, stop: int, entered: int, h: FloatArray, q: FloatArray,
                           e: FloatArray, g: FloatArray, square: float, space: EntrySpace) -> float:
-    """Return y'y with the rows from start to stop, after `entered` rows of another feature."""
+    """Return y'y with the rows from start to stop, after `entered` rows of another feature.
+
+    `h` and `q` (rows, rows) are without that feature, whose changes `space` has; `e` and `g`
+    (rows,) and `square`, which is y'y, are with it.
+    """
     small_h = space.small_h
     small_q = space.small_q
     m = stop - start
     feature_e, feature_g, share, half = space.small
-    # h and q among its own rows, less what those of the other feature have changed.
+    # h and q among these rows, less what the rows of the other feature have changed.
     for x in range(m):
         feature_e[x] = e[start + x]
         feature_g[x] = g[start + x]
@@ -469,7 +486,7 @@ def _squares_with_feature(start: int, stop: int, entered: int, h: FloatArray, q:
                             + space.half[t, start + x] * space.share[t, start + z])
             small_h[x, z] = value_h
             small_q[x, z] = value_q
-    # They enter one by one, as in `_enter_feature`; nothing but y'y is needed of the last.
+    # The rows enter one by one, as in `_enter_feature`; nothing but y'y is needed of the last.
     for x in range(m):
         d = 1.0 / (1.0 + small_h[x, x])
         entering_q = small_q[x, x]
