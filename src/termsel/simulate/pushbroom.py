@@ -319,7 +319,11 @@ def _attitude(roll: FloatArray, pitch: FloatArray, yaw: FloatArray) -> FloatArra
 
 def _refraction(target: FloatArray, up: FloatArray, height: FloatArray, station: FloatArray,
                 ) -> FloatArray:
-    """Return the shift from targets to their positions on straight rays [m], (n, 3)."""
+    """Return the shift from targets to their positions on straight rays [m], (n, 3).
+
+    `target` and `station` (n, 3) are Earth-fixed [m], `up` (n, 3) are unit vectors at the targets,
+    and `height` (n,) is that of the targets [m].
+    """
     pressure = (1 - 2.25577e-5 * height) ** 5.25588  # standard atmosphere, over sea level's
     ray = station - target
     ray = ray / np.linalg.norm(ray, axis=1, keepdims=True)

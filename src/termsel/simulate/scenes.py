@@ -250,7 +250,10 @@ def _role_counts(scene: Scene, count: int) -> tuple[int, int, int]:
 @lru_cache(maxsize=16)
 def _noise_free_features(name: str, seed: int | None, roles: tuple[int, int, int],
                          n_lines: int) -> tuple[Points, Lines]:
-    """Return points and lines free of noise; cached, as studies and tests repeat them."""
+    """Return points and lines free of noise; cached, as studies and tests repeat them.
+
+    `roles` are the numbers of control, check and independent points.
+    """
     scene = _scene(name)
     point_rng, line_rng = _streams(scene, seed)[:2]
     return _noise_free_points(scene, point_rng, roles), _noise_free_lines(scene, line_rng, n_lines)

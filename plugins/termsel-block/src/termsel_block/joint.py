@@ -211,7 +211,8 @@ def _adjust_as_stated(block: Block, frame: Frame, progress: Callable[[float], No
                       doubt: float = 0.0) -> BlockResult:
     """Return the block as adjusted with the models that it states.
 
-    Its DEM may be so much off [m], if that is more than usual.
+    `doubt` is the standard deviation of the DEM's offset [m] that is taken if it is more than
+    usual.
     """
     with ExitStack() as files:
         dem = files.enter_context(open_dem(block.dem, block.crs)) if block.dem else None

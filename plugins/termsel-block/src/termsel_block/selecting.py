@@ -247,6 +247,10 @@ def _with_selection(block: Block, control: set[tuple[str, str]], ties: set[str])
 
 
 def _is_out(image: str, control: set[tuple[str, str]], name: str, role: str) -> bool:
+    """Return whether a point of an image is not among `control`, pairs of image and id.
+
+    Independent points are never out.
+    """
     return role != "independent" and (image, name) not in control
 
 

@@ -293,8 +293,9 @@ def _reduced_matrix(diagonal: Sequence[FloatArray], half: Sequence[FloatArray],
                     ) -> FloatArray | sparse.csc_matrix:
     """Return the matrix of the images alone: A_ii - sum of B_i H^-1 B_j^T over common ties.
 
-    `half` is B_i H^(-1/2) of each measurement (n, p, 3). Dense up to `DENSE` parameters, else
-    sparse.
+    `diagonal` are the A_ii (p, p) of the images, `sizes` their p, and `half` is B_i H^(-1/2) of
+    each measurement (n, p, 3) of an image; `sharing` says which images have ties in common. Dense
+    up to `DENSE` parameters, else sparse.
     """
     total = sum(sizes)
     ends = np.cumsum(sizes)

@@ -185,7 +185,10 @@ def _polynomial(local: FloatArray, image: FloatArray) -> PolynomialCamera:
 
 def _first_parameters(camera: Camera, local: FloatArray, normal: FloatArray,
                       value: FloatArray) -> FloatArray:
-    """Return the parameters (p,) that a camera begins with: its own, or by rows of known places."""
+    """Return the parameters (p,) that a camera begins with: its own, or by rows of known places.
+
+    `local`, `normal` and `value` are those of the rows (see `OwnControl`).
+    """
     if isinstance(camera, PhysicalCamera):
         return camera.start
     assert isinstance(camera, LinearCamera)
@@ -194,9 +197,10 @@ def _first_parameters(camera: Camera, local: FloatArray, normal: FloatArray,
 
 def _fit_parameters(camera: LinearCamera, local: FloatArray, normal: FloatArray, value: FloatArray,
                     ) -> FloatArray:
-    """Return parameters (p,) by rows of known places (see `OwnControl`) and priors, robustly.
+    """Return parameters (p,) by rows of known places and priors, robustly; zeros without rows.
 
-    Zeros if there are no rows.
+    A row says that `normal` (2,) times line and sample of the place `local` (3,) is `value` (see
+    `OwnControl`).
     """
     parameters = np.zeros(len(camera.groups))
     if not len(value):

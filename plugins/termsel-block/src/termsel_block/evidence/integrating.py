@@ -234,10 +234,11 @@ def _sample_variances(matrix: FloatArray, right: FloatArray, groups: Sequence[_G
 def _draw_scales(x: FloatArray, equations: tuple[FloatArray, FloatArray], group: _Group,
                  of_images: FloatArray, of_scale: FloatArray, rng: np.random.Generator,
                  ) -> tuple[float, FloatArray, FloatArray]:
-    """Return draws of a group's standard deviations, and scale `x` with the first.
+    """Return draws of a group's standard deviations, and scale the parameters `x` with the first.
 
-    Of the group itself, of its images over that of their scale, and of its scales over that of the
-    group. The equations of the data are a matrix and a right side.
+    They are that of the group itself, those of its images over that of their scale, and those of
+    its scales over that of the group; `of_images` and `of_scale` are the latter two as they were.
+    `equations` of the data are a matrix (p, p) and a right side (p,).
     """
     matrix, right = equations
     squares = np.array([float(x[columns] @ x[columns]) for columns in group.images])

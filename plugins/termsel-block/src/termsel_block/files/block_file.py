@@ -236,7 +236,9 @@ def _check_names(names: Sequence[str], path: Path) -> None:
 def _read_image(stated: _Image, folder: Path, crs: str, dem: Path | None, path: Path) -> BlockImage:
     """Return an image of the block with size, RPC and control read from its files.
 
-    An RPC that the raster has is used if none is named. Raises TermselError for what does not fit.
+    `stated` is its entry in the file `path` of a block, in `folder`; `crs` and `dem` are those of
+    the block. An RPC that the raster has is used if none is named. Raises TermselError for files
+    that do not fit together.
     """
     for key in ("points", "lines", "rpc", "image"):
         file = getattr(stated, key)
@@ -291,7 +293,10 @@ def _read_image(stated: _Image, folder: Path, crs: str, dem: Path | None, path: 
 
 
 def _check_model(stated: _Image, options: Mapping[str, Any], has_rpc: bool, path: Path) -> None:
-    """Raise TermselError for a model that an image cannot have, or options it does not take."""
+    """Raise TermselError for a model that an image cannot have, or options that it does not take.
+
+    `has_rpc` says whether the image has an RPC; `path` is the file of the block, for messages.
+    """
     if stated.model in CORRECTIONS:
         if not has_rpc and stated.model != "auto":
             raise TermselError(f"image {stated.name!r} has the model {stated.model!r}", file=path,
@@ -459,6 +464,9 @@ def _refuse_far(first_at: Mapping[tuple[str, int], tuple[Path, int]],
                 positions: Sequence[tuple[float, float]], images: Sequence[str],
                 matches: Sequence[Path]) -> None:
     """Raise TermselError for a tie that is farther from its image's others than any image reaches.
+
+    `first_at` has file and line of each measurement, by tie and number of its image in `images`;
+    `positions` are line and sample of these measurements, and `matches` the files of ties.
     """
     measured = np.array(positions).reshape(-1, 2)
     image_of = np.array([image for _, image in first_at], int)

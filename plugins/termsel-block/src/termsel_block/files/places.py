@@ -107,7 +107,10 @@ def _read_ties(folder: Path) -> tuple[list[str], FloatArray, str]:
 
 def _write_geopackage(complete: Path, target: Path, ids: list[str], values: FloatArray,
                       crs: str) -> None:
-    """Write the ties as a layer of points to the file `complete`, which then becomes `target`."""
+    """Write the ties as a layer of points to the file `complete`, which then becomes `target`.
+
+    `values` (t, 7) are x, y, z, three standard deviations [m] and the number of images.
+    """
     shapely = _import_needed("shapely", target, "termsel[gis]")
     write = _import_needed("pyogrio.raw", target, "termsel[gis]").write
     names = ["id", "sigma_east", "sigma_north", "sigma_up", "images"]

@@ -91,10 +91,12 @@ class ScatterMatrix(TermRegression):
 
     def _f(self, regression: Regression, scatter: FloatArray, change: float, with_it: BoolArray,
            without: BoolArray, *, entering: bool) -> float:
-        """Return the F of a column, given the columns in use with it and without it (k,).
+        """Return the F of a column that enters, or leaves if not `entering`.
 
-        Where these leave rounding alone it is 0, and where those do, infinite: differences of the
-        scatter matrix would show neither.
+        `with_it` and `without` (k,) are the columns in use with and without the column, and
+        `change` is the difference of their residual squares, in units of the scatter matrix. F is 0
+        if the columns without it leave rounding alone, and infinite if only those with it do:
+        differences of the scatter matrix would show neither.
         """
         if regression.explained(residual_square_of(regression, without)):
             return 0.0
