@@ -322,7 +322,7 @@ def test_marks_of_pix4d_need_the_ground(tmp_path: Path) -> None:
     with pytest.raises(TermselError, match="the marks have image coordinates only"):
         termsel.read(tmp_path / "marks.csv")
     shutil.copy(GOLDEN / "pix4d_gcps.csv", tmp_path / "marks_gcps.csv")
-    with pytest.raises(TermselError, match=r"images IMG_1\.JPG, IMG_2\.JPG"):
+    with pytest.raises(TermselError, match=r"images IMG_1\.JPG \(2\), IMG_2\.JPG \(1\)"):
         termsel.read(tmp_path / "marks.csv")
     read = termsel.read(tmp_path / "marks.csv", image_name="IMG_2.JPG", crs="local")
     assert read.points.ids == ("GCP0",)
@@ -331,7 +331,7 @@ def test_marks_of_pix4d_need_the_ground(tmp_path: Path) -> None:
 
 def test_several_cameras_need_a_choice(tmp_path: Path) -> None:
     (tmp_path / "m.xml").write_text(MARKERS)
-    with pytest.raises(TermselError, match=r"images IMG_1\.JPG, IMG_2\.JPG. Choose one"):
+    with pytest.raises(TermselError, match=r"images IMG_1\.JPG \(\d\), IMG_2\.JPG \(\d\), with their "):
         termsel.read(tmp_path / "m.xml")
     assert termsel.read(tmp_path / "m.xml", image_name="IMG_2.JPG").points.ids == ("point 1",)
 
