@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import csv
+import os
 import shlex
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,6 +21,7 @@ from termsel.studies.maps import (
     KEPT,
     LEFT_OUT,
     PLANNED,
+    _pictures_of,
     next_command,
     plan_maps,
 )
@@ -150,3 +153,51 @@ def test_heights_are_asked_for_before_the_first_map(call: Call, tmp_path: Path) 
     done = call("rectify", tmp_path / "batch", tmp_path, "--output", tmp_path / "maps")
     assert done.exit_code == 2
     assert "depends on the height of the ground. Give --dem FILE or --height H." in done.stderr
+
+
+def test_maps_of_an_earlier_result_are_named(call: Call, sheets: Path, tmp_path: Path) -> None:
+    for name in ("sheet_1", "sheet_2", "sheet_3"):
+        (tmp_path / f"{name}.tif").touch()
+        os.utime(tmp_path / f"{name}.tif", (1e9, 1e9))
+    done = call("rectify", sheets / "batch", sheets / "scans", "--output", tmp_path)
+    assert "4 images: 2 outdated, 2 left out" in done.stdout
+    assert "older than the result; --overwrite makes it again" in " ".join(done.stdout.split())
+    with (tmp_path / "maps.csv").open(newline="") as file:
+        rows = {row["state"]: row for row in reversed(list(csv.DictReader(file)))}
+    assert rows["outdated"]["map"] == "sheet_1.tif"
+    left_out = rows["left out"]
+    assert left_out["why"].endswith(f"an earlier map is still there: {tmp_path / 'sheet_3.tif'}")
+    assert not left_out["map"]
+
+
+def test_one_picture_is_not_taken_for_two_files_of_points(sheets: Path, tmp_path: Path) -> None:
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        shutil.copy(sheets / "points" / "sheet_1.csv", tmp_path / folder)
+    termsel.compare(data=[{"points": str(tmp_path / "*" / "sheet_1.csv"), "crs": "EPSG:32633"}],
+                    methods=["affine"], out=tmp_path / "batch")
+    maps = plan_maps(tmp_path / "batch", sheets / "scans", tmp_path / "maps", with_doubtful=False,
+                     overwrite=False)
+    assert [item.state for item in maps] == [FAILED, FAILED]
+    assert "Sheet_1.tif would be the image of 2 files of points" in maps[0].why
+
+
+def test_an_image_of_several_in_a_file_is_found_by_its_whole_name() -> None:
+    files = [Path(name) for name in ("IMG.1.tif", "IMG.2.tif", "IMG.tif", "a.jpg")]
+    assert _pictures_of("gcps.csv#IMG.1", files) == [Path("IMG.1.tif")]
+    assert _pictures_of("gcps.csv#scans/a.NEF", files) == [Path("a.jpg")]
+    assert _pictures_of("IMG.points", files) == [Path("IMG.tif")]
+
+
+@pytest.mark.parametrize(("file", "out", "message"), [
+    ("file", "file", "this is a file, and a batch needs a folder for its maps"),
+    ("file", "file/inside", "this folder cannot be made"),
+    ("maps/maps.csv", "maps", "this is no table of maps that termsel wrote")])
+def test_files_of_the_user_are_not_replaced(call: Call, sheets: Path, tmp_path: Path, file: str,
+                                            out: str, message: str) -> None:
+    (tmp_path / file).parent.mkdir(exist_ok=True)
+    (tmp_path / file).write_text("my own table\n")
+    done = call("rectify", sheets / "batch", sheets / "scans", "--output", tmp_path / out)
+    assert done.exit_code == 2
+    assert message in " ".join(done.stderr.split())
+    assert (tmp_path / file).read_text() == "my own table\n"

@@ -11,7 +11,7 @@ from termsel.cli.bars import share_bar
 from termsel.cli.messages import echo, say_written
 from termsel.cli.tables import print_table
 from termsel.core.errors import TermselError
-from termsel.core.files.atomic import write_text
+from termsel.core.files.atomic import make_folder, write_text
 
 if TYPE_CHECKING:
     from termsel.results.result import Result
@@ -49,9 +49,10 @@ def rectify_batch(folder: Path, pictures: Path, out: Path, *, doubtful: bool, dr
                            "the ground", hint="Give --dem FILE or --height H." if dem is None else
                            f"Give --dem {dem}, as the batch had, or --height H.")
     if not dry_run:
+        make_folder(out, "Choose another --output.")
         maps = _write(maps, quiet, options)
     _show(maps)
-    if not dry_run and out.is_dir():
+    if not dry_run:
         write_text(out / TABLE, table_of_maps(maps))
         say_written([out / TABLE])
     if any(item.state == FAILED for item in maps):
@@ -74,7 +75,6 @@ def _write(maps: list[ImageMap], quiet: bool, options: Mapping[str, Any]) -> lis
 
         def write(result: Result, image: Path, output: Path) -> None:
             nonlocal done
-            output.parent.mkdir(parents=True, exist_ok=True)
             rectify(result, image, output, **options, progress=show)
             done += 1
 
@@ -83,13 +83,23 @@ def _write(maps: list[ImageMap], quiet: bool, options: Mapping[str, Any]) -> lis
 
 def _show(maps: list[ImageMap]) -> None:
     """Print what comes of the map of each image, and why some have none."""
-    from termsel.studies.maps import FAILED, KEPT, LEFT_OUT, PLANNED, WRITTEN, count_of_maps
+    from termsel.studies.maps import (
+        FAILED,
+        KEPT,
+        LEFT_OUT,
+        OUTDATED,
+        PLANNED,
+        WRITTEN,
+        count_of_maps,
+    )
 
     echo(count_of_maps(maps))
+    with_map = (PLANNED, WRITTEN, KEPT, OUTDATED)
     rows = [(item.image, item.verdict or "-", item.state,
-             str(item.output) if item.state in (PLANNED, WRITTEN, KEPT) else "") for item in maps]
+             str(item.output) if item.state in with_map else "") for item in maps]
     print_table(("image", "verdict", "state", "map"), rows)
-    reasons = [f"{item.image}: {item.why}" for item in maps if item.state in (LEFT_OUT, FAILED)]
+    reasons = [f"{item.image}: {item.why}" for item in maps
+               if item.state in (OUTDATED, LEFT_OUT, FAILED)]
     for reason in reasons[:_MOST_REASONS]:
         echo(reason)
     if len(reasons) > _MOST_REASONS:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from codecs import BOM_UTF8
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from shlex import quote
 
-from termsel.core.errors import TermselError, counted
+from termsel.core.errors import TermselError, counted, first_of
 from termsel.core.files.names import JOURNAL, is_there
 from termsel.core.files.texts import csv_table
 from termsel.io.result_folder import RECORD, read_result
@@ -20,11 +21,14 @@ from termsel.studies.cells.verdicts import DOUBTFUL, FIT, UNFIT
 from termsel.studies.execution.naming import named
 from termsel.studies.study import Study
 
-PLANNED, WRITTEN, KEPT, LEFT_OUT, FAILED = "planned", "written", "kept", "left out", "failed"
-"""What comes of the map of an image; `KEPT` is one that was there before."""
+PLANNED, WRITTEN, KEPT, OUTDATED, LEFT_OUT, FAILED = (
+    "planned", "written", "kept", "outdated", "left out", "failed")
+"""What comes of the map of an image; `KEPT` is one that was there before, and `OUTDATED` one that
+is older than the result of its image."""
 
 TABLE = "maps.csv"
 """The table in the folder of the maps: what was written, what not, and why."""
+_HEADER = ("image", "verdict", "state", "map", "why")
 
 _PICTURES = frozenset((".tif", ".tiff", ".jp2", ".jpg", ".jpeg", ".png", ".img", ".ntf", ".vrt",
                        ".gif", ".bmp", ".bil"))
@@ -68,7 +72,8 @@ def plan_maps(folder: Path, pictures: Path, out: Path, *, with_doubtful: bool, o
     Raises
     ------
     TermselError
-        If the study has no images, or `pictures` is no folder or that of the maps.
+        If the study has no images, `pictures` is no folder or that of the maps, or `out` is a file
+        or has a table of this name that is another one.
     """
     study = read_study(folder)
     if study.noun != "image":
@@ -82,17 +87,37 @@ def plan_maps(folder: Path, pictures: Path, out: Path, *, with_doubtful: bool, o
     if out.resolve() == pictures.resolve():
         raise TermselError("maps would have the names of the images in this folder", file=out,
                            hint="Give another folder: --output DIR.")
+    _require_folder_of_maps(out, overwrite)
     rows = {str(row["cell"]): row for row in study.rows}
     names = folders_of(study.cells)
+    files = _pictures_in(pictures)
+    pictures_of = {label: _pictures_of(label, files)
+                   for label in {str(labels["data"]) for labels in study.cells.values()}}
     verdicts = (FIT, DOUBTFUL) if with_doubtful else (FIT,)
     maps = []
     for key, labels in study.cells.items():
         row = rows[key]
         planned = ImageMap(str(labels["data"]), str(row["verdict"]), folder / IMAGES / names[key],
                            out / f"{names[key]}.tif")
-        maps.append(_left_out(planned, row) if row["verdict"] not in verdicts else
-                    _with_picture(planned, pictures, overwrite))
+        planned = _left_out(planned, row) if row["verdict"] not in verdicts else \
+            _with_picture(planned, pictures, pictures_of, overwrite)
+        maps.append(_with_earlier_map(planned))
     return maps
+
+
+def _require_folder_of_maps(out: Path, overwrite: bool) -> None:
+    """Raise TermselError for a file, and for a folder whose table is not one of maps."""
+    if out.is_file():
+        raise TermselError("this is a file, and a batch needs a folder for its maps", file=out,
+                           hint="Choose another --output.")
+    table = out / TABLE
+    if not is_there(table) or overwrite:
+        return
+    # A table of an earlier call gives way: the same command goes on after an interruption.
+    header = ",".join(_HEADER).encode()
+    if not table.is_file() or not table.read_bytes().removeprefix(BOM_UTF8).startswith(header):
+        raise TermselError("this is no table of maps that termsel wrote, and would be replaced",
+                           file=table, hint="Choose another --output, or use --overwrite.")
 
 
 def _left_out(planned: ImageMap, row: Row) -> ImageMap:
@@ -102,19 +127,61 @@ def _left_out(planned: ImageMap, row: Row) -> ImageMap:
     return replace(planned, state=LEFT_OUT, why=str(row["why"]))
 
 
-def _with_picture(planned: ImageMap, folder: Path, overwrite: bool) -> ImageMap:
-    """Return an image with its picture in a folder; failed without one, or with several."""
+def _with_picture(planned: ImageMap, folder: Path, pictures_of: Mapping[str, Sequence[Path]],
+                  overwrite: bool) -> ImageMap:
+    """Return an image with its picture in a folder; failed without one of its own, or with several.
+
+    `pictures_of` has the pictures of each file of points by their names.
+    """
     if is_there(planned.output) and not overwrite:
+        if _is_older_than_result(planned):
+            return replace(planned, state=OUTDATED,
+                           why="the map is older than the result; --overwrite makes it again")
         return replace(planned, state=KEPT, why="it was there; --overwrite makes it again")
-    name = stem_of(planned.image).casefold()
-    # The points of map.jpg may be in map.points or in map.jpg.points.
-    files = sorted(file for file in folder.iterdir() if file.suffix.lower() in _PICTURES
-                   and name in (file.stem.casefold(), file.name.casefold()))
-    if len(files) == 1:
-        return replace(planned, picture=files[0])
-    why = f"{folder} has no image of the name {stem_of(planned.image)}" if not files else \
-        f"{folder} has several of this name: {', '.join(file.name for file in files)}"
-    return replace(planned, state=FAILED, why=why)
+    files = pictures_of[planned.image]
+    if len(files) != 1:
+        why = f"{folder} has no image of the name {stem_of(planned.image)}" if not files else \
+            f"{folder} has several of this name: {', '.join(file.name for file in files)}"
+        return replace(planned, state=FAILED, why=why)
+    # Two files of points of one name, in two folders, are of two images.
+    owners = sorted(label for label, others in pictures_of.items() if files[0] in others)
+    if len(owners) > 1:
+        return replace(planned, state=FAILED, why=(
+            f"{files[0].name} would be the image of {counted(len(owners), 'file')} of points: "
+            f"{first_of(owners)}. Give each its own name"))
+    return replace(planned, picture=files[0])
+
+
+def _pictures_in(folder: Path) -> list[Path]:
+    """Return the pictures in a folder, in the order of their names."""
+    return sorted(file for file in folder.iterdir() if file.suffix.lower() in _PICTURES)
+
+
+def _pictures_of(label: str, files: Sequence[Path]) -> list[Path]:
+    """Return the pictures that are named like a file of points."""
+    # An image of several in one file may be IMG.1, of which .1 is no ending.
+    names = [PurePosixPath(label.partition("#")[2]).name, stem_of(label)]
+    pictures: list[Path] = []
+    for name in filter(None, names):
+        # The points of map.jpg may be in map.points or in map.jpg.points.
+        pictures = [file for file in files
+                    if name.casefold() in (file.stem.casefold(), file.name.casefold())]
+        if pictures:
+            break
+    return pictures
+
+
+def _is_older_than_result(planned: ImageMap) -> bool:
+    """Return whether the map of an image was written before the result of the image."""
+    record = planned.folder / RECORD
+    return is_there(record) and planned.output.stat().st_mtime < record.stat().st_mtime
+
+
+def _with_earlier_map(item: ImageMap) -> ImageMap:
+    """Return an image, and say so where it has no map now and one of an earlier call is there."""
+    if item.state not in (LEFT_OUT, FAILED) or not is_there(item.output):
+        return item
+    return replace(item, why=f"{item.why}; an earlier map is still there: {item.output}")
 
 
 def needing_heights(maps: Iterable[ImageMap]) -> ImageMap | None:
@@ -144,24 +211,24 @@ def write_maps(maps: Sequence[ImageMap], write: Callable[[Result, Path, Path], N
             with named(planned.image):
                 write(read_result(planned.folder), planned.picture, planned.output)
         except TermselError as error:
-            yield replace(planned, state=FAILED, why=str(error))
+            yield _with_earlier_map(replace(planned, state=FAILED, why=str(error)))
         else:
             yield replace(planned, state=WRITTEN)
 
 
 def table_of_maps(maps: Iterable[ImageMap]) -> str:
     """Return the table of maps as CSV: image, verdict, state, map, and why there is none."""
-    header = ("image", "verdict", "state", "map", "why")
     rows = [(item.image, item.verdict, item.state,
-             item.output.name if item.state in (WRITTEN, KEPT) else "", item.why) for item in maps]
-    return csv_table([header, *rows])
+             item.output.name if item.state in (WRITTEN, KEPT, OUTDATED) else "", item.why)
+            for item in maps]
+    return csv_table([_HEADER, *rows])
 
 
 def count_of_maps(maps: Sequence[ImageMap]) -> str:
     """Return a clause on how many images there are, and what came of their maps."""
     states = Counter(item.state for item in maps)
-    counts = [f"{states[state]} {state}" for state in (PLANNED, WRITTEN, KEPT, LEFT_OUT, FAILED)
-              if states[state]]
+    counts = [f"{states[state]} {state}" for state in (
+        PLANNED, WRITTEN, KEPT, OUTDATED, LEFT_OUT, FAILED) if states[state]]
     return f"{counted(len(maps), 'image')}: {', '.join(counts)}"
 
 
@@ -173,8 +240,8 @@ def next_command(study: Study, folder: Path) -> str:
     if fit:
         first = fit[0]
         place = Path(str(first["data"]).partition("#")[0].partition(" + ")[0]).parent
-        has_picture = place.is_dir() and _with_picture(
-            ImageMap(str(first["data"]), FIT, folder, Path()), place, overwrite=True).picture
+        has_picture = place.is_dir() \
+            and len(_pictures_of(str(first["data"]), _pictures_in(place))) == 1
         words = ["termsel", "rectify", quote(str(folder)),
                  quote(str(place)) if has_picture else "IMAGES", "--output",
                  quote(str(folder.with_name(f"{folder.name}-maps")))]
