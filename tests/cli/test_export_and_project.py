@@ -319,15 +319,39 @@ def test_places_of_a_gis_are_projected_as_those_of_a_table(folder: Path, tmp_pat
     code, _, err = _termsel("project", folder, "--points", tmp_path / "places.geojson")
     assert (code, "Give heights by --dem FILE or --height H" in err) == (2, True)
     (tmp_path / "places.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": [
+        {**feature, "properties": {"name": "a", "z": 1100}}]}))
+    assert _termsel("project", folder, "--points", tmp_path / "places.geojson")[1] == of_table
+    (tmp_path / "places.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": [
         {**feature, "geometry": {"type": "LineString", "coordinates": [[59, 36], [59.1, 36]]}}]}))
     _, _, err = _termsel("project", folder, "--points", tmp_path / "places.geojson")
     assert "its geometry is LineString, expected Point or MultiPoint" in err
+    (tmp_path / "places.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": [
+        {**feature, "geometry": {"type": "MultiPoint", "coordinates": [[59, 36], [59.1, 36]]}}]}))
+    code, out, err = _termsel("project", folder, "--points", tmp_path / "places.geojson")
+    assert (code, out) == (2, "")
+    assert "feature 1: it has several vertices, expected one point" in " ".join(err.split())
+
+
+def test_heights_of_places_are_of_no_account_to_a_plane_model(tmp_path: Path) -> None:
+    places = np.array([[59.1, 36.2], [59.2, 36.4], [59.3, 36.1], [59.2, 36.2]])
+    ground = np.column_stack([places, np.full(4, np.nan)])
+    points = termsel.Points(tuple("abcd"), places * 1000.0, ground)
+    result = termsel.run(features=termsel.FeatureSet(points, crs="EPSG:4326"), method="affine")
+    # As a GIS saves places with heights.
+    (tmp_path / "places.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": [
+        {"type": "Feature", "properties": {"name": "a"},
+         "geometry": {"type": "Point", "coordinates": [59.1, 36.2, 1100.0]}}]}))
+    text, _ = project_table(result, tmp_path / "places.geojson")
+    row = dict(zip(*(line.split(",") for line in text.splitlines()[-2:]), strict=True))
+    assert float(row["line"]) == pytest.approx(59_100.0, abs=1e-3)
 
 
 @pytest.mark.parametrize(("text", "arguments", "message"), [
     ("id,line,sample\na,1,2\n", [], "add --inverse"),
     ("id,x,y,z\na,59,36,\n", [], "line 2, column 'z': the height is blank"),
     ("id,x,y,z\na,59,36,\n", ["--dem", "d.tif"], "d.tif: this file does not exist"),
+    ("id,x,y,z\na,59,36,1\n", ["--dem", "d.tif"], "d.tif: this file does not exist"),
+    ("id,x,y,z\na,59,36,\n", ["--height", "-9999"], "-9999 is no height"),
     ("id,line,sample\na,1,2\n", ["--inverse"], "Give --dem FILE or --height H"),
     ("id,line,sample\na,1,2\n", ["--inverse", "--height", "nan"], "cannot be nan"),
     ("id,line,sample\na,1,2\n", ["--inverse", "--height", "1", "--dem", "d.tif"], "exclude"),
@@ -344,6 +368,13 @@ def test_project_refuses(text: str, arguments: list[str], message: str, folder: 
     code, out, err = _termsel("project", folder, "--points", table, *arguments)
     assert (code, out) == (2, "")
     assert message in err
+
+
+def test_places_of_one_id_are_not_said_to_be_of_another_crs(folder: Path, tmp_path: Path) -> None:
+    table = tmp_path / "table.csv"
+    table.write_text("id,x,y,z\na,59,36,1\na,59,36.1,1\n")
+    code, _, err = _termsel("project", folder, "--points", table)
+    assert (code, "used 2 times" in err, "CRS" in err) == (2, True, False)
 
 
 @pytest.mark.parametrize(("place", "message"), [

@@ -323,15 +323,21 @@ def write_ellipsoidal(surface: Dem, path: Path, bounds: tuple[float, float, floa
             written.write(np.nan_to_num(heights, nan=_NODATA).astype(np.float32), 1, window=block)
 
 
+def refuse_void(height: float) -> None:
+    """Raise TermselError for a height that rasters have where there is none, such as -9999."""
+    if height in VOID_HEIGHTS:
+        raise TermselError(f"{height:g} is no height, but what rasters have where there is none",
+                           hint="Give the height of the ground: --height H.")
+
+
 def surface_of(dem: Path | str | None, crs: str, height: float,
                ) -> AbstractContextManager[Dem | float]:
     """Open a raster of heights for coordinates in a CRS, or give a constant height instead.
 
     Raises TermselError for a height that rasters have where there is none, such as -9999.
     """
-    if dem is None and height in VOID_HEIGHTS:
-        raise TermselError(f"{height:g} is no height, but what rasters have where there is none",
-                           hint="Give the height of the ground: --height H.")
+    if dem is None:
+        refuse_void(height)
     return nullcontext(height) if dem is None else open_dem(Path(dem), crs)
 
 

@@ -11,15 +11,23 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from termsel.core.errors import TermselError, counted, first_of
-from termsel.data.coordinates.crs import is_geographic, normalise, short, with_stated_heights
+from termsel.core.files.names import is_there, no_such_file
+from termsel.data.coordinates.crs import (
+    WGS84,
+    horizontal,
+    is_geographic,
+    normalise,
+    short,
+    with_stated_heights,
+)
 from termsel.data.coordinates.earth import place_of
 from termsel.data.coordinates.longitudes import nearest
 from termsel.data.coordinates.plausible import check_ground
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points, select
 from termsel.data.tables.columns import COORDINATES, parse_columns
 from termsel.fitting.extrapolation import FAR_OUTSIDE, outside
-from termsel.formats.base import read_once
-from termsel.formats.heights import Dem, say_difference, surface_of, with_heights
+from termsel.formats.base import error_in_file, read_once
+from termsel.formats.heights import Dem, refuse_void, say_difference, surface_of, with_heights
 from termsel.formats.readers.csv_tables import table_text
 from termsel.formats.readers.geojson_points import table_of_places
 from termsel.formats.readers.tables import Table, read_table
@@ -170,6 +178,10 @@ def read_ground(result: Result, path: Path, columns: str = "", dem: Path | None 
     crs = result.fit.control.crs
     names = ("x", "y", "z") if model.uses_height else ("x", "y")
     fills = dem is not None or height is not None
+    if height is not None:
+        refuse_void(height)
+    if dem is not None and not is_there(dem):  # also where no height is blank
+        raise no_such_file(dem)
     try:
         table = _table(path, columns, *names, flat=fills)
     except TermselError as error:
@@ -177,7 +189,7 @@ def read_ground(result: Result, path: Path, columns: str = "", dem: Path | None 
             error.hint = f"These are image positions; ground positions {','.join(names)} are " \
                 "needed. termsel project --inverse computes them."
         raise
-    if table.crs and normalise(crs) not in (table.crs, with_stated_heights(table.crs, crs)):
+    if table.crs and not _is_crs_of_control(table.crs, normalise(crs), model.uses_height):
         raise TermselError(f"the file declares the CRS {table.crs}, but the control is in {crs}",
                            file=path, hint="Transform the points to the CRS of the control.")
     ground = np.full((len(table.lines), 3), np.nan)
@@ -203,10 +215,21 @@ def read_ground(result: Result, path: Path, columns: str = "", dem: Path | None 
     return ids, ground
 
 
+def _is_crs_of_control(crs: str, control: str, uses_height: bool) -> bool:
+    """Return whether a CRS is that of the control, but for what either does not say of heights."""
+    if control in (crs, with_stated_heights(crs, control)) or WGS84.issuperset((crs, control)):
+        return True
+    return not uses_height and horizontal(crs) == horizontal(control)
+
+
 def _require_crs_of_control(ids: Sequence[str], ground: FloatArray, crs: str, path: Path) -> None:
     """Raise TermselError for ground positions that cannot be in the CRS of the control."""
     try:
-        check_ground(FeatureSet(Points(tuple(ids), np.zeros((len(ids), 2)), ground), crs=crs))
+        places = FeatureSet(Points(tuple(ids), np.zeros((len(ids), 2)), ground), crs=crs)
+    except TermselError as error:
+        raise error_in_file(error, path) from error
+    try:
+        check_ground(places)
     except TermselError as error:
         error.file = path
         swapped = "The columns look swapped. " if "swapped" in (error.hint or "") else ""

@@ -99,18 +99,28 @@ def table_of_places(path: Path, aliases: Aliases, stated: Mapping[str, str], *,
         return None
     records = []
     for feature in features:
-        vertex = feature.vertex_lists[0][0]
+        vertex = _only_vertex(feature)
         places = {name: value for name, value in zip(_GROUND.values(), vertex, strict=True)
                   if value == value}
         records.append({**feature.properties, **places})
     has_heights = any(_GROUND["z"] in record for record in records)
     fixed = {axis: name for axis, name in _GROUND.items() if axis in aliases}
-    if not has_heights and not flat and "z" in fixed:
+    names = list(dict.fromkeys(chain.from_iterable(records)))
+    has_column_of_heights = "z" in stated or bool(matches(names, aliases).get("z"))
+    if not has_heights and not has_column_of_heights and not flat and "z" in fixed:
         for record in records:  # so that the message is of the height and not of a column
             record[_GROUND["z"]] = nan
     cells = of_records(records, "feature", fixed, [feature.number for feature in features])
     table = table_of(path, cells, aliases, stated, flat=flat)
     return replace(table, crs=crs or ("EPSG:4979" if has_heights else "EPSG:4326"))
+
+
+def _only_vertex(feature: Feature) -> list[float]:
+    """Return the vertex of a point; raises TermselError for a feature of several."""
+    if sum(map(len, feature.vertex_lists)) != 1:
+        raise feature.error("it has several vertices, expected one point", "geometry",
+                            "Make a feature of each point.")
+    return feature.vertex_lists[0][0]
 
 
 def _images_of(features: Sequence[Feature]) -> dict[str, dict[str, Any]]:
@@ -136,10 +146,8 @@ def _table_of_features(path: Path, features: list[Feature], options: Mapping[str
             record |= dict(zip(_OF_JI.values(), _ji(feature), strict=True))
         if feature.properties.get("sigma_px") is not None:
             record |= dict(zip(_OF_SIGMA.values(), _sigma(feature), strict=True))
-        if sum(map(len, feature.vertex_lists)) != 1:
-            raise feature.error("it has several vertices, expected one point", "geometry")
         # A geometry without a height leaves that to a column of heights.
-        vertex = feature.vertex_lists[0][0]
+        vertex = _only_vertex(feature)
         record |= {name: value for name, value in zip(_GROUND.values(), vertex, strict=True)
                    if value == value}
         if has_id:
