@@ -63,12 +63,13 @@ def test_an_image_without_georeferencing_says_nothing(
     assert not caplog.messages
 
 
-def test_an_image_that_broke_off_is_warned_of(tmp_path: Path,
+@pytest.mark.parametrize(("bands", "interleave"), [(1, "band"), (3, "pixel"), (3, "band")])
+def test_an_image_that_broke_off_is_warned_of(bands: int, interleave: str, tmp_path: Path,
                                               caplog: pytest.LogCaptureFixture) -> None:
     whole = tmp_path / "whole.tif"
-    noise = np.random.default_rng(1).integers(0, 255, (1, 64, 64), dtype=np.uint8)
-    with rasterio.open(whole, "w", driver="GTiff", width=64, height=64, count=1, dtype="uint8",
-                       blockysize=8) as raster:
+    noise = np.random.default_rng(1).integers(0, 255, (bands, 64, 64), dtype=np.uint8)
+    with rasterio.open(whole, "w", driver="GTiff", width=64, height=64, count=bands, dtype="uint8",
+                       blockysize=8, interleave=interleave) as raster:
         raster.write(noise)
     broken = tmp_path / "broken.tif"
     broken.write_bytes(whole.read_bytes()[:-1500])

@@ -181,8 +181,12 @@ def test_plan_among_given_places(folder: Path, tmp_path: Path) -> None:
     rows = [line.split() for line in out.splitlines()[1:]]
     ids = [row[0] for row in rows]
     assert sorted(ids) == sorted(f"C{i}" for i in range(12))
-    _, fewer, _ = _termsel("plan", folder, "--candidates", table, "-n", 3)
+    x, y, z = places.ground.max(axis=0).tolist()
+    x += 0.5 * np.ptp(places.ground[:, 0])
+    table.write_text(f"{table.read_text()}far,{x},{y},{z}\n")
+    _, fewer, err = _termsel("plan", folder, "--candidates", table, "-n", 3)
     assert [line.split() for line in fewer.splitlines()[1:]] == rows[:3]
+    assert "1 candidate left out, as the image does not show it: far." in err
 
 
 @pytest.mark.parametrize(("text", "words"), [

@@ -36,7 +36,8 @@ def warn_of_incomplete(image: Path | str) -> None:
             return
         last = (raster.height - 1, raster.height), (raster.width - 1, raster.width)
         try:
-            raster.read(1, window=last)
+            # Bands may lie one after the other: the last one ends the file.
+            raster.read(raster.count, window=last)
         except RasterioError:
             log.warning("Warning: %s is incomplete or damaged: its size is used, but its pixels "
                         "cannot be read. Copy or download it again before a map is made.", image)

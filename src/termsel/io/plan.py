@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from termsel.core.errors import TermselError
-from termsel.data.features import FloatArray
+from termsel.core.errors import TermselError, counted, first_of
+from termsel.data.features import BoolArray, FloatArray
 from termsel.fitting.fit import Fit
 from termsel.fitting.next_places import rank_places
 from termsel.fitting.scene import scene_grid
@@ -91,6 +91,8 @@ def plan(result: Result, count: int, candidates: Path | None = None) -> Plan:
     if not is_seen.any() or not len(scene):
         raise TermselError("the image shows none of the positions", file=candidates,
                            hint="Give positions in the CRS of the control, inside the scene.")
+    if candidates is not None and not is_seen.all():
+        _say_unseen(ids, is_seen)
     # Places that the image does not show cannot be measured.
     numbers = np.flatnonzero(is_seen)
     # The scene itself where all of it is seen, so that its figures are computed once.
@@ -105,3 +107,11 @@ def plan(result: Result, count: int, candidates: Path | None = None) -> Plan:
     return Plan(tuple(ids[i] for i in numbers[ranking.order]), np.column_stack(
         [fitted.project(best_positions), best_positions, np.hypot(ranking.sigma, shared)]),
         float(np.hypot(ranking.sigma_before, shared)), fitted.control.crs)
+
+
+def _say_unseen(ids: tuple[str, ...], is_seen: BoolArray) -> None:
+    """Say which candidates the image does not show."""
+    unseen = [name for name, seen in zip(ids, is_seen, strict=True) if not seen]
+    log.warning("Note: %s left out, as the image does not show %s: %s.",
+                counted(len(unseen), "candidate"), "it" if len(unseen) == 1 else "them",
+                first_of(unseen))

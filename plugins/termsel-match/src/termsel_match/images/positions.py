@@ -12,6 +12,8 @@ from termsel_match.images.rasters import FloatArray
 from termsel_match.images.starts import turned
 
 _DEGREES = "EPSG:4326"
+_GRID_LINES = 21
+"""Places along each side of a raster whose area is compared."""
 
 
 def in_words(plane: FloatArray, crs: str) -> str:
@@ -37,28 +39,41 @@ def require_same_area(references: Sequence[Path], dem: Path | str | None) -> Non
     """Raise TermselError if a DEM and every reference show different places of the Earth."""
     if dem is None:
         return
-    of_dem = _corners(Path(dem))
-    of_references = [corners for corners in map(_corners, references) if corners is not None]
+    of_dem = _grid(Path(dem))
+    of_references = [grid for grid in map(_grid, references) if grid is not None]
     if of_dem is None or len(of_references) < len(references):
         return
-    low, high = of_dem.min(axis=0), of_dem.max(axis=0)
-    for corners in of_references:
-        if (corners.max(axis=0) >= low).all() and (corners.min(axis=0) <= high).all():
-            return
+    if any(_boxes_overlap(grid, of_dem) for grid in of_references):
+        return
     raise TermselError(
         f"the reference {references[0].name} ({in_words(of_references[0], _DEGREES)}) and the DEM "
         f"{Path(dem).name} ({in_words(of_dem, _DEGREES)}) do not overlap",
         hint="Give a reference and a DEM of the area of the image.")
 
 
-def _corners(path: Path) -> FloatArray | None:
-    """Return the corners (4, 2) of a raster as longitudes and latitudes; None if not known."""
+def _boxes_overlap(first: FloatArray, second: FloatArray) -> bool:
+    """Tell whether the boxes about two sets of longitudes and latitudes (n, 2) meet.
+
+    Longitudes may be counted from -180 or from 0 degrees: one is shifted by a turn either way.
+    """
+    low, high = second.min(axis=0), second.max(axis=0)
+    return any(bool((first.max(axis=0) + shift >= low).all()
+                    and (first.min(axis=0) + shift <= high).all())
+               for shift in ((-360.0, 0.0), (0.0, 0.0), (360.0, 0.0)))
+
+
+def _grid(path: Path) -> FloatArray | None:
+    """Return a grid (n, 2) over a raster as longitudes and latitudes; None if not known.
+
+    Corners alone would leave out a pole in the middle, and edges that bulge beyond them.
+    """
     with open_raster(path) as raster:
         if raster.crs is None or raster.transform.is_identity:
             return None
-        corners = [raster.transform @ (sample, line) for line in (0, raster.height)
-                   for sample in (0, raster.width)]
-        return _in_degrees(np.array(corners, dtype=float), raster.crs.to_wkt())
+        places = [raster.transform @ (sample, line)
+                  for line in np.linspace(0, raster.height, _GRID_LINES).tolist()
+                  for sample in np.linspace(0, raster.width, _GRID_LINES).tolist()]
+        return _in_degrees(np.array(places, dtype=float), raster.crs.to_wkt())
 
 
 def _in_degrees(plane: FloatArray, crs: str) -> FloatArray | None:
