@@ -311,6 +311,26 @@ def test_a_fifth_column_of_small_numbers_may_be_residuals(tmp_path: Path) -> Non
     assert error.value.guesses == ["line=2,sample=1,x=3,y=4,z=5", "line=2,sample=1,x=3,y=4"]
 
 
+@pytest.mark.parametrize(("header", "options", "message"), [
+    ("x_km,y_km,z,line,sample", {"z_unit": "metre"}, "x is in kilometres by the name of its "
+     "column, and EPSG:2263 is in US survey feet"),
+    ("x,y,z_km,line,sample", {"z_unit": "us-ft"}, "z_unit says US survey feet"),
+    ("x,y,z_km,line,sample", {"z_unit": "crs"}, "z_unit says US survey feet"),
+    ("x,y,z_km,line,sample", {}, "")])
+def test_kilometres_are_no_thousands_of_feet(
+        header: str, options: dict[str, str], message: str, tmp_path: Path) -> None:
+    pytest.importorskip("pyproj")
+    path = tmp_path / "table.csv"
+    path.write_text(f"{header}\n300001,60001,0.5,1,2\n300101,60501,0.25,3,4\n")
+    if message:
+        with pytest.raises(termsel.TermselError, match=message):
+            termsel.read(path, crs="EPSG:2263", **options)
+    else:
+        read = termsel.read(path, crs="EPSG:2263")
+        assert read.z_unit == "metres, as its column is in kilometres by its name"
+        assert read.points.ground[:, 2].tolist() == [500.0, 250.0]
+
+
 @pytest.mark.parametrize("header", ["E [km],N [km],H (km),row,col", "x_km,y_km,z_km,line,sample"])
 def test_columns_in_kilometres_by_their_names_are_read_in_metres(
         header: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -247,6 +247,9 @@ class FeatureSet(Glance):
     image_origin : str
         Where the file counted lines and samples from, where that is not the centre of the
         upper-left pixel by the format; they count from there here.
+    kilometres : str
+        Axes, such as "xy" or "z", whose columns are in kilometres by their names; they are in
+        metres here.
 
     Raises
     ------
@@ -272,6 +275,7 @@ class FeatureSet(Glance):
     dem_difference: DemDifference | None = None
     z_unit: str = ""
     image_origin: str = ""
+    kilometres: str = ""
 
     def __post_init__(self) -> None:
         # Selections, results and messages name a feature by its id alone.

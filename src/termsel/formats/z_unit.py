@@ -10,7 +10,13 @@ import numpy as np
 
 from termsel.core.errors import TermselError
 from termsel.core.options import Option
-from termsel.data.coordinates.crs import LOCAL, height_axis_unit, short, to_wgs84
+from termsel.data.coordinates.crs import (
+    LOCAL,
+    height_axis_unit,
+    metres_per_unit,
+    short,
+    to_wgs84,
+)
 from termsel.data.coordinates.height_units import (
     METRE,
     UNITS,
@@ -45,7 +51,7 @@ def with_z_unit(features: FeatureSet, stated: str | None, dem: Path | None = Non
 
     A DEM or an RPC shows it where one unit alone agrees with it. Independent points say nothing
     here. Raises TermselError where z may be in feet or in metres and nothing shows; for a unit that
-    plane coordinates without a CRS cannot have.
+    plane coordinates without a CRS cannot have; for kilometres where the CRS is in feet.
     """
     if stated is not None:
         return _convert_to_asked_unit(features, stated)
@@ -61,6 +67,8 @@ def with_z_unit(features: FeatureSet, stated: str | None, dem: Path | None = Non
     # z equal to 0 is the same in every unit.
     if not is_unit_open(features.crs) or not np.nan_to_num(heights).any():
         return features
+    if "z" in features.kilometres:
+        return _in_unit(features, METRE, "as its column is in kilometres by its name")
     in_feet = str(unit_of_plane(features.crs))
     units = (in_feet, METRE)
     if dem is not None and (unit := _unit_by_dem(features, units, dem)):
@@ -72,6 +80,24 @@ def with_z_unit(features: FeatureSet, stated: str | None, dem: Path | None = Non
         hint=f"State it: --set z_unit={in_feet} or --set z_unit={METRE}.")
 
 
+def refuse_kilometres(axes: str, crs: str) -> None:
+    """Raise TermselError for x or y in kilometres by their names in a CRS that is not in metres.
+
+    They were multiplied by 1,000, which gives metres. Heights are refused, too, where the CRS
+    declares another unit for them.
+    """
+    plane = None if crs == LOCAL else metres_per_unit(crs)
+    height = None if crs == LOCAL else height_axis_unit(crs)
+    for axis in axes:
+        size = height if axis == "z" else plane
+        if size not in (None, 1.0):
+            unit = unit_of_size(float(size))
+            raise TermselError(
+                f"{axis} is in kilometres by the name of its column, and {short(crs)} is in "
+                f"{WORDS.get(str(unit), 'another unit')}", hint="Give the coordinates in the unit "
+                "of the CRS, or transform them to a CRS in metres.")
+
+
 def _convert_to_asked_unit(features: FeatureSet, stated: str) -> FeatureSet:
     """Return features in the unit that is asked for."""
     if stated not in Z_UNIT.choices:
@@ -81,6 +107,9 @@ def _convert_to_asked_unit(features: FeatureSet, stated: str) -> FeatureSet:
         raise TermselError("plane coordinates without a CRS have z in their own unit",
                            hint="Leave z_unit out, or state the CRS of the ground coordinates.")
     unit = unit_of_plane(features.crs) or METRE if stated == OF_PLANE else stated
+    if "z" in features.kilometres and unit != METRE:
+        raise TermselError("z is in kilometres by the name of its column, and z_unit says "
+                           f"{WORDS[unit]}", hint="Leave z_unit out, or correct the name.")
     return _in_unit(features, unit, "as stated")
 
 

@@ -31,6 +31,7 @@ from termsel.formats.heights import Dem, refuse_void, say_difference, surface_of
 from termsel.formats.readers.csv_tables import table_text
 from termsel.formats.readers.geojson_points import table_of_places
 from termsel.formats.readers.tables import Table, read_table
+from termsel.formats.z_unit import refuse_kilometres
 
 if TYPE_CHECKING:
     from termsel.results.result import Result
@@ -192,6 +193,10 @@ def read_ground(result: Result, path: Path, columns: str = "", dem: Path | None 
     if table.crs and not _is_crs_of_control(table.crs, normalise(crs), model.uses_height):
         raise TermselError(f"the file declares the CRS {table.crs}, but the control is in {crs}",
                            file=path, hint="Transform the points to the CRS of the control.")
+    try:
+        refuse_kilometres(table.axes_in_kilometres(), crs)
+    except TermselError as error:
+        raise error_in_file(error, path) from error
     ground = np.full((len(table.lines), 3), np.nan)
     # Heights that are missing altogether have no column.
     present = [name for name in names if name in table.columns]

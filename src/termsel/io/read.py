@@ -55,7 +55,7 @@ from termsel.formats.readers.advice import (
 from termsel.formats.repeated import REPEATED, averaging
 from termsel.formats.rpc_files import delivered_rpc, size_with_rpc, with_rpc
 from termsel.formats.swapped import SWAPPED, exchanged_back
-from termsel.formats.z_unit import Z_UNIT, with_z_unit
+from termsel.formats.z_unit import Z_UNIT, refuse_kilometres, with_z_unit
 from termsel.models.image_part import RPC_OFFSET, RPC_SCALE, ImagePart, part_of
 from termsel.plugins.registry import built_in, registry
 
@@ -343,6 +343,7 @@ def _read_frame(frame: Any, crs: str | None, options: Mapping[str, Any],
         {table_path: features}, stated_crs(crs)))
     _require_crs(measured, [table_path], "columns" not in options and swapped is None)
     _say_misspelt(table_path, measured)
+    refuse_kilometres(measured.kilometres, measured.crs)
     check_ground(measured)
     _say_doubts(measured)
     return measured
@@ -605,9 +606,16 @@ def _features_of_files(points: Path | None, lines: Path | None, *, areas: Path |
         _agreed_crs(sets, stated),
         next((features.image_size for features in sets.values() if features.image_size), None),
         image_origin=next((features.image_origin for features in sets.values()
-                           if features.image_origin), ""))
+                           if features.image_origin), ""),
+        kilometres=next((features.kilometres for features in sets.values()
+                         if features.kilometres), ""))
     # Where the columns were declared, swapped axes are no mistake of a guess.
     _require_crs(measured, sets, not options.get("columns") and swapped is None)
+    for path, features in sets.items():
+        try:
+            refuse_kilometres(features.kilometres, measured.crs)
+        except TermselError as error:
+            raise error_in_file(error, path) from error
     if areas is not None:
         measured = _with_areas(measured, sets[areas], areas)
     try:

@@ -138,7 +138,8 @@ class LinesCsv(TableReader):
         if "off" in roles:
             # Lines have no role to be off by, so that they are left out.
             lines = lines.take([role != "off" for role in roles])
-        return FeatureSet(lines=lines, crs=table.crs, image_size=table.image_size)
+        return FeatureSet(lines=lines, crs=table.crs, image_size=table.image_size,
+                          kilometres=table.axes_in_kilometres())
 
 
 def write_points_csv(points: Points, path: Path | str, crs: str = "") -> None:

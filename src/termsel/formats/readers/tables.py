@@ -225,6 +225,11 @@ class Table:
             return numbers * 1000.0
         return numbers
 
+    def axes_in_kilometres(self) -> str:
+        """Return the axes of the ground that are in kilometres by their names, such as "xy"."""
+        return "".join(axis for axis in "xyz" if any(
+            meaning[0] == axis and is_in_kilometres(name) for meaning, name in self.names.items()))
+
 
 def points_of(table: Table, crs: str) -> FeatureSet:
     """Return the points of a table; raises TermselError, with the cell, for one that is no number.
@@ -232,7 +237,8 @@ def points_of(table: Table, crs: str) -> FeatureSet:
     image = table.stack("line", "sample")
     ground = table.stack("x", "y", "z")
     sigma = table.sigma("sigma_line", "sigma_sample")
-    return FeatureSet(table.points(image, ground, sigma, table.roles()), crs=crs)
+    return FeatureSet(table.points(image, ground, sigma, table.roles()), crs=crs,
+                      kilometres=table.axes_in_kilometres())
 
 
 log = logging.getLogger(__name__)
