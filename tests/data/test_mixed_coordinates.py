@@ -178,3 +178,13 @@ def test_metres_near_the_origin_of_a_crs_are_no_kilometres(crs: str) -> None:
     image = np.column_stack([y.max() - y, x - x.min()])
     assert note_on_mixed(features(image, x, y, crs)) == ""
     assert "look like kilometres" in note_on_mixed(features(image, x / 1000, y / 1000, crs))
+
+
+def test_a_bend_along_a_slope_is_no_sign_of_kilometres() -> None:
+    rng = np.random.default_rng(4)
+    u, v = rng.uniform(0, 1, (2, 30))
+    image = np.column_stack([5000 * v, 5000 * u + 300 * u**2]) + rng.normal(0, 0.5, (30, 2))
+    heights = 8 * u**2 + rng.uniform(0, 0.3, 30)
+    ground = np.column_stack([5e5 + 5000 * u, 5e6 - 5000 * v, heights])
+    points = Points(tuple(map(str, range(30))), image, ground)
+    assert not note_on_mixed(FeatureSet(points, crs="EPSG:32632"))

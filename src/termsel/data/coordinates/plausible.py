@@ -260,7 +260,8 @@ def _note_on_heights_in_kilometres(features: FeatureSet) -> str:
     """Return a note that heights look like kilometres, by what the image shows of them; or "".
 
     In an affine image of the ground, a metre of height moves a point by tan(angle of view) metres.
-    In kilometres the tangent is a thousand times as large.
+    In kilometres the tangent is a thousand times as large. Quadratic terms of the plan take up what
+    the image bends by, which a slope would look like.
     """
     ground = features.points.ground
     heights = ground[:, 2]
@@ -271,16 +272,20 @@ def _note_on_heights_in_kilometres(features: FeatureSet) -> str:
     if is_in_degrees(features.crs):
         plan = plan * _DEGREE * [np.cos(np.radians(np.median(ground[usable, 1]))), 1.0]
     above = heights[usable] - heights[usable].mean()
-    design = np.column_stack([np.ones(len(plan)), plan, above])
+    # About one, as their squares are.
+    extent = max(float(np.abs(plan).max()), np.finfo(float).tiny)
+    u, v = plan.T / extent
+    design = np.column_stack([np.ones(len(u)), u, v, above, u * u, u * v, v * v])
     image = features.points.image[usable]
     slopes, _, rank, _ = np.linalg.lstsq(design, image, rcond=None)
-    determinant = abs(np.linalg.det(slopes[1:3]))
+    determinant = abs(np.linalg.det(slopes[1:3])) / extent**2
     if rank < design.shape[1] or not determinant > 0.0:
         return ""
     residuals = image - design @ slopes
-    sigma = np.sqrt((residuals**2).sum() / (residuals.size - 8))
+    sigma = np.sqrt((residuals**2).sum() / (residuals.size - slopes.size))
     size = float(np.linalg.norm(slopes[3]))  # px a unit of height
-    deviation = sigma * np.sqrt(np.linalg.inv(design.T @ design)[3, 3])
+    # The row of the pseudoinverse that gives the slope of the heights from the image.
+    deviation = sigma * float(np.linalg.norm(np.linalg.pinv(design)[3]))
     tangent = size / np.sqrt(determinant)
     if tangent < _NO_TANGENT or size < _CERTAIN * deviation:
         return ""
