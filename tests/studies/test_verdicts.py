@@ -36,6 +36,9 @@ def row(**figures: Any) -> dict[str, Any]:
     # Maps of an archive may be of any place.
     ({"doubt": "Near 40.8 N, 119.2 W, while 9 other images of the batch are near 51.9 N, 2.2 E: "
                "are coordinates and CRS right?"}, None, DOUBTFUL, "40.8 N"),
+    ({"notes": ["The known camera is not used: the points show 3,495 px, not 1,750 px. Check it."]},
+     None, DOUBTFUL, "the known camera is not used: the points show 3,495 px, not 1,750 px"),
+    ({"notes": ["The RPC is not used: it needs heights."]}, None, FIT, "nothing contradicts"),
     ({"state": "failed", "reason": "too few points"}, None, UNFIT, "too few points"),
     ({}, None, FIT, "nothing contradicts its figures; not verified"),
     ({"n_independent": 4}, None, FIT, "nothing contradicts its figures; 4 independent check"),

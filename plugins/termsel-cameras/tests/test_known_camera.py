@@ -355,3 +355,41 @@ def test_options_of_a_camera_are_listed_and_misspelt_ones_refused(tmp_path: Path
     listed = invoke("describe", "data").stdout
     assert "camera_focal_spread" in listed
     assert "camera_position" in listed
+
+
+@pytest.mark.parametrize("stated", [0.5, 0.8, 1.15, 2.0])
+def test_a_focal_length_that_the_points_contradict_is_refused(stated: float) -> None:
+    """One of the points is a blunder: it must not hide the others' focal length."""
+    control = with_blunder(photo(8, down=55.0, seed=4, camera_focal=FOCAL * stated)[0])
+    message = f"the points show 3,[45].. px, not {FOCAL * stated:,.0f}"
+    with pytest.raises(TermselError, match=message):
+        KNOWN_CAMERA.fit(FitData.of(control))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_right_focal_length_is_kept_next_to_a_blunder(seed: int) -> None:
+    control = with_blunder(photo(8, down=55.0, seed=seed, camera_focal=FOCAL)[0])
+    assert KNOWN_CAMERA.fit(FitData.of(control)).model.name == "known-frame"
+
+
+def with_blunder(control: FeatureSet) -> FeatureSet:
+    """Return control whose third point is off by 23 px."""
+    image = control.points.image.copy()
+    image[2] += [18.0, -14.0]
+    return control.with_(points=replace(control.points, image=image))
+
+
+def test_points_that_cannot_show_the_focal_length_say_so() -> None:
+    data = FitData.of(photo(6, down=88.0, noise=6.0, camera_focal=FOCAL)[0])
+    assert "cannot show whether it is right" in KNOWN_CAMERA.describe(KNOWN_CAMERA.fit(data))
+    few = FitData.of(photo(4, down=55.0, camera_focal=FOCAL)[0])
+    assert "So few points cannot show" in KNOWN_CAMERA.describe(KNOWN_CAMERA.fit(few))
+
+
+def test_a_run_says_that_the_camera_needs_heights() -> None:
+    control = photo(5, down=55.0, camera_focal=FOCAL)[0]
+    ground = control.points.ground.copy()
+    ground[:, 2] = np.nan
+    flat = control.with_(points=replace(control.points, ground=ground))
+    assert any("the points have no heights. --dem FILE" in note
+               for note in termsel.run(features=flat).notes)

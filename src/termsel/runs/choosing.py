@@ -367,18 +367,30 @@ def _notes_on_stated_geometry(data: FitData, auto: Auto, fitted: Fit) -> list[st
     notes = []
     for method in auto.methods:
         if not method.from_one or method.family == RPC_CORRECTIONS \
-                or len(data) > method.max_features \
-                or auto.ask(method, "declines", data) is not None or method.name in auto.faults:
+                or len(data) > method.max_features:
             continue
+        declined = auto.ask(method, "declines", data)
+        # Of what is stated, heights alone are missing: a DEM would give them.
+        if declined is not None and LACKS_HEIGHTS in declined:
+            notes.append(f"The {method.short or method.name} takes no part: the points have no "
+                         "heights. --dem FILE gives them.")
+        if declined is not None or method.name in auto.faults:
+            continue
+        remedy = "Check what is stated of it, such as a focal length."
         reason = f"{chosen.title} predicts the {data.features.word} better, beyond chance"
         if auto.ask(method, "fit", data) is None and method.name not in auto.faults:
             try:
                 method.fit(data)
             except Undetermined as error:
                 reason = error.what
-        notes.append(f"The {method.short or method.name} is not used: {reason}. Check what is "
-                     "stated of it, such as a focal length.")
+                remedy = error.hint or remedy
+        notes.append(f"The {method.short or method.name} is not used: {reason}. {remedy}")
     return notes
+
+
+LACKS_HEIGHTS = "--dem FILE"
+"""What a method whose geometry is stated names if it declines features for their heights alone."""
+
 
 
 RPC_CORRECTIONS = "corrections of the RPC"

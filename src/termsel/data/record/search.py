@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterable, Mapping
 from typing import Annotated, Literal
 
 from msgspec import UNSET, Meta, UnsetType
@@ -109,6 +110,16 @@ class CandidateRow(RecordPart, frozen=True):
 
 RPC_UNUSED = "The RPC is not used"
 """How a strategy's sentence on an RPC begins that is given and not used."""
+
+
+_UNUSED = re.compile(r"The [^:.]* is not used: ")
+
+
+def stated_and_unused(notes: Iterable[str]) -> list[str]:
+    """Return the first sentences of notes that a stated camera or orbit is not used, as clauses."""
+    sentences = [note.partition(". ")[0] for note in notes
+                 if _UNUSED.match(note) and not note.startswith(RPC_UNUSED)]
+    return [f"{sentence[0].lower()}{sentence[1:].removesuffix('.')}" for sentence in sentences]
 
 
 class Strategy(RecordPart, frozen=True):

@@ -18,6 +18,7 @@ import numpy as np
 
 from termsel.core.errors import TermselError, counted, rounded
 from termsel.data.record.figures import MANY_INDEPENDENT, rmse_interval
+from termsel.data.record.search import stated_and_unused
 from termsel.studies.cells.neighbours import ELSEWHERE
 
 FIT, DOUBTFUL, UNFIT = VERDICTS = "fit for use", "doubtful", "unfit"
@@ -160,6 +161,7 @@ def _contradictions(row: Mapping[str, Any], usual: float) -> list[str]:
     said = []
     if row["doubt"]:
         said.append(str(row["doubt"]).rstrip("."))
+    said += stated_and_unused(row["notes"] or ())
     blunders = len(row["blunders"] or ())
     points = (row["n_control"] or 0) + (row["excluded"] or 0)
     if blunders > MANY_BLUNDERS * max(points, 1):

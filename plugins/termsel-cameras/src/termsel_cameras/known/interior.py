@@ -49,7 +49,9 @@ OPTIONS = (
                                  "name of a camera."),
     Option("camera_focal_spread", None, "How well the focal length is known, as a standard "
                                         "deviation: 0.3%, 5px, or fixed. By default 1% where it is "
-                                        "stated, and of a camera by name as its type varies."),
+                                        "stated in px, 0.32% where it is stated in mm with "
+                                        "camera_pixel, and of a camera by name as its type "
+                                        "varies."),
     Option("camera_pixel", None, "Size of a pixel on the film or sensor [um], such as 21."),
     Option("camera_principal_point", None, "Line and sample of the principal point [px]: "
                                            "703,749.5. By default the middle of the image."),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,7 @@ from termsel import (
     Undetermined,
 )
 from termsel.toolkit import BoolArray
-from termsel.toolkit.models import Pinhole, camera_next_to
+from termsel.toolkit.models import Pinhole, camera_next_to, camera_of
 from termsel_cameras.known.interior import FIXED_SPREAD, Interior, interior_of
 from termsel_cameras.known.lens import FloatArray
 from termsel_cameras.known.model import TAILS, KnownFrame
@@ -35,6 +35,25 @@ MISFIT = 25.0
 `MISFIT_PART` of their half extent, if that is more."""
 
 MISFIT_PART = 0.05
+
+CONTRADICTION = 4.0
+"""Standard deviations by which a focal length of the points alone contradicts the stated one."""
+
+CLEARLY_BETTER = 2.0
+"""How many times as large the median error in leave-one-out is with the stated focal length, if a
+free one predicts clearly better. Both limits together refuse none of 100 real photos."""
+
+FEWEST_TO_CONTRADICT = 6
+"""Points from which on they contradict a focal length: of fewer, one blunder looks like another."""
+
+FREE_FOCAL_SPREAD = 0.7
+"""Standard deviation of the logarithm of a focal length that the points alone show."""
+
+VAGUE_FOCAL = 0.1
+"""Relative standard deviation from which on points do not show whether a focal length is right."""
+
+FREE_REACH = 0.01
+"""Scale of the prior of the principal point of such a camera, by its focal length."""
 
 _STEP = 1e-4
 
@@ -173,6 +192,7 @@ class KnownCamera(Method):
                 f"the points are not those of {interior.source}: they leave {sigma:.0f} px, and "
                 f"the most is {largest_sigma:.0f} px",
                 hint="Check the focal length, the points and heights.")
+        _refuse_contradicted(fitted, interior)
         return fitted
 
     def refit(self, fitted: Fit, data: FitData) -> Fit:
@@ -204,7 +224,56 @@ class KnownCamera(Method):
         return (f"The camera is known by {interior.source}. It looked {tilt:.0f} deg off the "
                 "vertical "
                 f"from {height:,.0f} m above the points, with a focal length of {focal:,.1f} px. "
-                f"{_focal_in_words(interior)}")
+                f"{_focal_in_words(interior)}{_focal_of_points(fitted)}")
+
+
+def _refuse_contradicted(fitted: Fit, interior: Interior) -> None:
+    """Raise Undetermined if the points show another focal length than the stated one.
+
+    All points are compared, robustly, before any is rejected because of the stated camera: the
+    focal length of a free camera differs beyond chance, and its median error in leave-one-out is
+    much smaller.
+    """
+    stated = _camera_of(fitted)
+    # A camera whose points fit as well as points usually do is not wrong by much.
+    if len(fitted.control) < FEWEST_TO_CONTRADICT or stated.sigma <= stated.measured.usual:
+        return
+    free = _free_camera(stated)
+    if free is None:
+        return
+    spread = _focal_spread(free)
+    deviation = float(np.log(free.camera.focal[0] / stated.measured.focal))
+    limit = CONTRADICTION * np.hypot(spread, interior.focal_spread)
+    if abs(deviation) <= limit or _median_error(stated) < CLEARLY_BETTER * _median_error(free):
+        return
+    scale = fitted.scaling.image_scale
+    raise Undetermined(
+        f"the points show {free.camera.focal[0] * scale:,.0f} px, not {interior.focal:,.0f} px",
+        hint=f"Their focal length has a standard deviation of {100 * spread:.2g} %; the median "
+             f"error in leave-one-out is {_median_error(free) * scale:.2g} px with it, and "
+             f"{_median_error(stated) * scale:.2g} px with the stated one. Check the focal "
+             "length and the size of a pixel.")
+
+
+def _free_camera(stated: Pinhole) -> Pinhole | None:
+    """Return the camera of the same points with a focal length and a place that are not stated."""
+    measured = stated.measured
+    return camera_of(replace(
+        measured, focal_spread=max(FREE_FOCAL_SPREAD, measured.focal_spread),
+        reach=max(FREE_REACH * measured.focal, measured.reach), place=None, place_spread=None))
+
+
+def _focal_spread(camera: Pinhole) -> float:
+    """Return the relative standard deviation of the focal length of a camera."""
+    design, _ = camera.measured.system(camera.camera, np.ones((1, len(camera.measured.image))),
+                                       camera.sigma)
+    # The covariance of the unknowns is (D' D)^-1; the seventh is log f.
+    return float(np.linalg.norm(np.linalg.pinv(design[0])[6]))
+
+
+def _median_error(camera: Pinhole) -> float:
+    """Return the median distance of points from where the others predict them, scaled."""
+    return float(np.median(np.linalg.norm(camera.errors, axis=1)))
 
 
 def _focal_in_words(interior: Interior) -> str:
@@ -215,6 +284,19 @@ def _focal_in_words(interior: Interior) -> str:
     return (f"{interior.focal:,.1f} px are stated, and taken to be known to "
             f"{100 * interior.focal_spread:.2g} % ({spread:.2g} px, one standard deviation); "
             "--set camera_focal_spread states another, or fixed.")
+
+
+def _focal_of_points(fitted: Fit) -> str:
+    """Return a sentence where the points cannot show whether the focal length is right; else ""."""
+    if fitted.used.sum() < FEWEST_TO_CONTRADICT:
+        return " So few points cannot show whether it is right."
+    free = _free_camera(_camera_of(fitted))
+    spread = np.inf if free is None else _focal_spread(free)
+    if spread < VAGUE_FOCAL:
+        return ""
+    known_to = f": alone they tell it to {100 * spread:.0f} %" if spread < FREE_FOCAL_SPREAD / 2 \
+        else ""
+    return f" The points cannot show whether it is right{known_to}."
 
 
 def _interior(control: FitData) -> Interior:
