@@ -68,8 +68,10 @@ def test_no_option_of_any_command_answers_in_words_of_python() -> None:
 
 
 @pytest.mark.parametrize(("words", "message"), [
-    (["--seconds", "5s"], "--seconds is '5s', which is not a number. Type the number alone: "
-                          "--seconds 5."),
+    (["--seconds", "5s"], "--seconds is '5s', which is not a number. --seconds is in "
+                          "seconds: 5."),
+    (["--seconds", "2min"], "--seconds is '2min', which is not a number. --seconds is in "
+                            "seconds: 120."),
     (["--seed", "1.5"], "--seed is '1.5', which is not a whole number. Type --seed N."),
     (["--generations", "0"], "--generations is 0, expected a whole number of at least 1."),
     (["--strategy", "aut"], "--strategy is 'aut', expected auto or as-asked. Did you mean "

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 import termsel
+from termsel.core.errors import TermselError
 from termsel.data.coordinates.earth import place_of, say_turned
 from termsel.data.features import FeatureSet, FloatArray, Lines, Points, no_lines, no_points
+from termsel.formats.image_origin import require_inside
 
 SEEN = np.random.default_rng(5).uniform(0, 5000, (12, 2))
 NORTH_UP = np.array([[0.0, 1.0], [-1.0, 0.0]])
@@ -87,3 +89,18 @@ def test_few_points_and_points_on_one_line_are_not_doubted(
 def test_the_place_is_named(crs: str, place: tuple[float, float], text: str) -> None:
     assert place_of(scene(crs, place, 1e-6)) == text
     assert place_of(termsel.FeatureSet(no_points(), no_lines(), crs)) == ""
+
+
+@pytest.mark.parametrize(("upright", "reason"), [
+    (True, "the points fit an image of 5001 lines and 4001 samples"),
+    (False, "line and sample look swapped: they extend")])
+def test_an_image_that_a_viewer_has_turned_is_told_from_swapped_axes(
+        upright: bool, reason: str) -> None:
+    """A turned image shows the ground as it is, swapped axes its mirror image."""
+    features = scene("EPSG:32632", (690000, 5335000), 0.5)
+    image = features.points.image * [1.0, 0.7] if upright else \
+        (features.points.image * [0.7, 1.0])[:, ::-1]
+    features = features.with_(points=replace(features.points, image=image))
+    with pytest.raises(TermselError, match=reason) as refused:
+        require_inside(features, (4001, 5001), "photo.jpg")
+    assert ("turned by 90 degrees" in str(refused.value.hint)) == upright

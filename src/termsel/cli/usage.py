@@ -14,6 +14,7 @@ import click
 from termsel.core.errors import first_of
 
 _NUMBER = re.compile(r"[+-]?\d+(\.\d*)?")
+_WITH_UNIT = re.compile(r"([+-]?\d+(?:\.\d*)?)\s*([A-Za-z]+)")
 _NOT_VALID = re.compile(r"'(.*)' is not a valid (integer|float)", re.DOTALL)
 _OUTSIDE = re.compile(r"(\S+) is not in the range")
 _NO_LIMIT = 1e8
@@ -174,6 +175,32 @@ def _value_name(option: click.Parameter) -> str:
     return (option.metavar or option.type.name.upper().partition(" ")[0]).strip("[].")
 
 
+_UNITS = {"METRES": "metres", "M": "metres", "PX": "px", "--height": "metres",
+          "--seconds": "seconds", "--timeout": "seconds"}
+"""Units that options take, by how the help calls their values, or by their names."""
+
+_FACTORS = {"metres": {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "dm": 0.1, "m": 1.0, "km": 1e3},
+            "seconds": {"ms": 1e-3, "s": 1.0, "sec": 1.0, "min": 60.0, "h": 3600.0},
+            "px": {"px": 1.0, "pixel": 1.0, "pixels": 1.0}}
+"""How many of the unit of an option each unit is that somebody may type."""
+
+
+def _remedy_for_unit(name: str, param: click.Parameter, typed: str) -> str:
+    """Return what to type for a number with a unit: the number in the unit of the option."""
+    unit = _UNITS.get(_value_name(param)) or _UNITS.get(name)
+    match = _WITH_UNIT.fullmatch(typed)
+    if unit is None or match is None:
+        # The help tells the unit, and the number may be of another.
+        return f"Type a number without a unit; the help says what {name} counts."
+    factor = _FACTORS[unit].get(match[2].lower())
+    if factor is not None:
+        return f"{name} is in {unit}: {float(match[1]) * factor:g}."
+    lengths = _FACTORS["metres"]
+    if unit == "px" and match[2].lower() in lengths:
+        return f"{name} is in px: {typed} divided by the size of a pixel in {match[2]}."
+    return f"{name} is in {unit}."
+
+
 def _bad_value(error: click.BadParameter, param: click.Parameter) -> str:
     """Return the message for a value that an option cannot take."""
     name = param.opts[0] if isinstance(param, click.Option) else _value_name(param)
@@ -187,9 +214,8 @@ def _bad_value(error: click.BadParameter, param: click.Parameter) -> str:
                    f"Type {name} {_value_name(param)}."
         noun = "a whole number" if kind == "integer" else "a number"
         number = _NUMBER.match(typed)
-        # 5m: the unit is in the help.
         is_with_unit = number is not None and kind == "float"
-        remedy = f"Type the number alone: {name} {number[0]}." if number and is_with_unit else \
+        remedy = _remedy_for_unit(name, param, typed) if is_with_unit else \
             f"Type {name} {param.metavar or 'N'}."
         return f"{name} is {typed!r}, which is not {noun}. {remedy}"
     outside = _OUTSIDE.match(message)

@@ -10,6 +10,7 @@ import numpy as np
 
 from termsel.core.errors import TermselError
 from termsel.core.options import Option
+from termsel.data.coordinates.earth import is_mirrored
 from termsel.data.features import BoolArray, FeatureSet, FloatArray
 from termsel.data.rasters import open_raster
 
@@ -143,6 +144,14 @@ def require_inside(features: FeatureSet, size: tuple[int, int] | None,
     if size is not None and (last > np.array(size) - 0.5 + EDGE_MARGIN).any():
         beyond = positions > np.array(size) - 0.5 + EDGE_MARGIN
         if (last[::-1] <= np.array(size) - 0.5 + EDGE_MARGIN).all() and not before.any():
+            # Exchanged they would be a mirror image of the ground: the image itself is turned.
+            if is_mirrored(features) is False:
+                raise TermselError(
+                    f"the points fit an image of {size[1]} lines and {size[0]} samples: they "
+                    f"extend to line {last[0]:g} and sample {last[1]:g}, and the image has "
+                    f"{size[0]} lines and {size[1]} samples", file=image,
+                    hint="Is this image turned by 90 degrees, as by its EXIF? Give it as it was "
+                         "when the points were measured.")
             raise TermselError(
                 f"line and sample look swapped: they extend to line {last[0]:g} and sample "
                 f"{last[1]:g}, and the image has {size[0]} lines and {size[1]} samples",
