@@ -22,6 +22,7 @@ from termsel_cameras.known.cameras import CAMERAS
 from termsel_cameras.known.interior import interior_of, interior_of_file
 from termsel_cameras.known.lens import Lens
 from termsel_cameras.known.method import KNOWN_CAMERA
+from termsel_cameras.known.sharing import shared_camera
 
 SIZE, FOCAL, HIGH = (3000, 4000), 3500.0, 1200.0
 CRS = "EPSG:32633"
@@ -393,3 +394,10 @@ def test_a_run_says_that_the_camera_needs_heights() -> None:
     flat = control.with_(points=replace(control.points, ground=ground))
     assert any("the points have no heights. --dem FILE" in note
                for note in termsel.run(features=flat).notes)
+
+
+@pytest.mark.slow
+def test_the_focal_length_of_an_oblique_photo_is_no_place_of_the_grid() -> None:
+    found = shared_camera([photo(20, down=50.0)[0]], SIZE)
+    assert found.focal == pytest.approx(FOCAL, rel=0.005)
+    assert found.sigma < 1.0

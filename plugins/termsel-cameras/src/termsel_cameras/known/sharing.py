@@ -17,7 +17,7 @@ from termsel import FeatureSet, FitData, TermselError
 from termsel.toolkit.models import Measured, Pinhole, camera_next_to, camera_of
 from termsel_cameras.known.interior import REACH, Interior
 from termsel_cameras.known.lens import FloatArray
-from termsel_cameras.known.method import is_mirrored
+from termsel_cameras.known.method import FREE_FOCAL_SPREAD, is_mirrored
 from termsel_cameras.known.model import KnownFrame
 from termsel_cameras.roles import without_independent
 
@@ -32,6 +32,9 @@ SHORTEST_FOCAL, LONGEST_FOCAL = 0.4, 6.0
 
 DISTORTIONS = (-0.1, -0.05, -0.02, 0.0, 0.02, 0.05)
 """Radial distortions k1 that are tried."""
+
+PHOTOS_ALONE = 4
+"""Photos that are asked for a focal length of their own."""
 
 HELD = 1e-6
 """Relative standard deviation that holds a focal length where it is tried."""
@@ -108,6 +111,8 @@ def shared_camera(photos: Sequence[FeatureSet], size: tuple[int, int],
     step = (ends[1] / ends[0]) ** (1.0 / (FOCALS_TRIED - 1))
     best = flight.least(np.geomspace(*ends, FOCALS_TRIED), 0.0)
     best = flight.least(best * np.geomspace(1.0 / step, step, FOCALS_TRIED_NEAR), 0.0)
+    # Oblique photos have sharp minima between places of the grid: each photo alone shows its own.
+    best = flight.least(np.array([*flight.focals_of_each(best), best]), 0.0, afresh=True)
     costs = np.array([flight.penalised_cost(best, distortion) for distortion in DISTORTIONS])
     start = np.array([np.log(best), DISTORTIONS[int(np.argmin(costs))]])
     solution, covariance = _least_of_two(
@@ -127,15 +132,34 @@ class _Flight:
         self.mirrored = [is_mirrored(photo) for photo in photos]
         self.cameras: list[Pinhole | None] = [None] * len(photos)
 
-    def least(self, focals: FloatArray, k1: float) -> float:
+    def focals_of_each(self, focal: float) -> list[float]:
+        """Return the focal lengths [px] that some of the photos show, each without the others."""
+        focals = []
+        for i, photo in enumerate(self.photos[:PHOTOS_ALONE]):
+            measured = self._model(i, focal, 0.0).measured(photo.scaled, photo.features.noise)
+            camera = camera_of(replace(measured, focal_spread=FREE_FOCAL_SPREAD))
+            if camera is not None:
+                focals.append(float(camera.camera.focal[0]) * photo.scaling.image_scale)
+        return focals
+
+    def least(self, focals: FloatArray, k1: float, *, afresh: bool = False) -> float:
         """Return that of the focal lengths [px] whose cost is least.
+
+        `afresh` looks for the camera of each photo anew, not next to the last one.
 
         Raises TermselError if none has one.
         """
-        costs = [self.cost(float(focal), k1)[0] for focal in focals]
+        costs = []
+        for focal in focals:
+            if afresh:
+                self.cameras = [None] * len(self.photos)
+            costs.append(self.cost(float(focal), k1)[0])
+        if afresh:
+            self.cameras = [None] * len(self.photos)
         if not np.isfinite(costs).any():
             raise TermselError("no focal length has all control points in front of the cameras",
-                               hint="Check lines, samples and heights.")
+                               hint="Check lines, samples and heights. A focal length that is "
+                                    "given is in px: mm divided by the size of a pixel in mm.")
         return float(focals[int(np.argmin(costs))])
 
     def cost(self, focal: float, k1: float) -> tuple[float, float]:
