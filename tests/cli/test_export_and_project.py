@@ -359,6 +359,8 @@ def test_heights_of_places_are_of_no_account_to_a_plane_model(tmp_path: Path) ->
      "no.tif: this file does not exist"),
     ("# crs: EPSG:32640\nid,x,y,z\na,1,2,3\n", [], "declares the CRS EPSG:32640"),
     ("id,x,y,z\na,270000,3854000,3\n", [], "table.csv, column 'x': feature 'a' with x = 270000"),
+    ('{"type": "Feature", "geometry": {"type": "Point", "coordinates": [59, 36]}}', [],
+     "this is not a GeoJSON FeatureCollection"),
     ("id,x,y,z\na,1,x,3\n", [], "line 2, column 'y': 'x' is not a number"),
     ("", [], "the file has no table")])
 def test_project_refuses(text: str, arguments: list[str], message: str, folder: Path,

@@ -15,7 +15,7 @@ import pytest
 import termsel
 from termsel.data.coordinates.earth import is_mirrored
 from termsel.data.features import FeatureSet, Points
-from termsel.studies.cells.neighbours import batch_of, setting_of
+from termsel.studies.cells.neighbours import _note_on_mirrored, batch_of, setting_of
 from termsel.studies.compare import estimate
 from termsel.studies.outputs import write_outputs
 
@@ -201,3 +201,10 @@ def test_a_busy_machine_is_said_with_the_time(
     shown = capsys.readouterr().out
     assert "10 runs; about 40 s with 1 worker." in shown
     assert ("with a machine as busy as now; about 10 s on an idle one" in shown) == is_said
+
+
+def test_one_other_image_is_not_others() -> None:
+    settings = {"a": {"mirrored": True}, "b": {"mirrored": False}}
+    [(sentence, doubts)] = _note_on_mirrored(settings)
+    assert sentence.startswith("1 of 2 images is a mirror image of the ground")
+    assert "unlike 1 other of the batch" in doubts["a"]

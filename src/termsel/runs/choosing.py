@@ -376,7 +376,8 @@ def _notes_on_stated_geometry(data: FitData, auto: Auto, fitted: Fit) -> list[st
                          "heights. --dem FILE gives them.")
         if declined is not None or method.name in auto.faults:
             continue
-        remedy = "Check what is stated of it, such as a focal length."
+        remedy = ("Check what is stated of it, such as a focal length, and what is not, such as "
+                  "the distortion of a lens.")
         reason = f"{chosen.title} predicts the {data.features.word} better, beyond chance"
         if auto.ask(method, "fit", data) is None and method.name not in auto.faults:
             try:

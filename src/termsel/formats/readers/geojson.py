@@ -15,6 +15,8 @@ from termsel.data.coordinates.crs import normalise
 from termsel.data.tables.tabular import is_free
 from termsel.formats.base import error_in_file, parse_json, read_text
 
+_ONE_FEATURE = re.compile(r'\s*\{\s*"type"\s*:\s*"(Feature|(Multi)?(Point|LineString|Polygon))"')
+
 
 @dataclass(frozen=True)
 class Feature:
@@ -68,6 +70,11 @@ def sniff_geojson(head: bytes, geometry: str) -> bool:
     return (text.lstrip()[:1] == "{" and '"FeatureCollection"' in text
             and re.search(r'"type"\s*:\s*"Annotation', text) is None
             and re.search(rf'"type"\s*:\s*"{geometry}"', text) is not None)
+
+
+def is_without_collection(head: bytes) -> bool:
+    """Return whether a text begins as one feature or one geometry, which is no collection."""
+    return _ONE_FEATURE.match(head.decode("utf-8-sig", errors="replace")) is not None
 
 
 def read_geojson(path: Path, kinds: Mapping[str, int]) -> tuple[list[Feature], str]:

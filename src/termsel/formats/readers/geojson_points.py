@@ -13,7 +13,13 @@ from termsel.data.features import FeatureSet
 from termsel.data.tables.columns import POINTS, Aliases, matches, parse_columns
 from termsel.formats.base import IMAGE_NAME, Reader, image_of, read_head
 from termsel.formats.readers.cells import of_records
-from termsel.formats.readers.geojson import Feature, numbers_at, read_geojson, sniff_geojson
+from termsel.formats.readers.geojson import (
+    Feature,
+    is_without_collection,
+    numbers_at,
+    read_geojson,
+    sniff_geojson,
+)
 from termsel.formats.readers.tables import COLUMNS, Table, points_of, table_of
 from termsel.formats.readers.vector import POINT_KINDS, has_points, is_vector, read_layer
 
@@ -93,7 +99,7 @@ def table_of_places(path: Path, aliases: Aliases, stated: Mapping[str, str], *,
     head = read_head(path, "Give points as a table or a vector file.") if has_content else b""
     if is_vector(head):
         features, crs = read_layer(path, None, POINT_KINDS)
-    elif sniff_geojson(head, r"\w+"):
+    elif sniff_geojson(head, r"\w+") or is_without_collection(head):
         features, crs = read_geojson(path, POINT_KINDS)
     else:
         return None

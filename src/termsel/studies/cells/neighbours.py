@@ -150,8 +150,9 @@ def _note_on_mirrored(settings: Mapping[str, Mapping[str, Any]]) -> list[tuple[s
     negated = verb.replace("is a", "is no").replace("are ", "are no ")
     statement = f"{counted(len(odd), 'image')} {negated if usual else verb} of the ground"
     question = "are x and y exchanged there, or line and sample?"
-    doubt = (f"{'No m' if usual else 'M'}irror image of the ground, unlike {usual_count} others of "
-             "the batch: are x and y exchanged, or line and sample?")
+    doubt = (f"{'No m' if usual else 'M'}irror image of the ground, unlike "
+             f"{counted(usual_count, 'other')} of the batch: are x and y exchanged, or line and "
+             "sample?")
     return [(f"{statement}, unlike the other {usual_count} ({question})",
              dict.fromkeys(odd, doubt))]
 
@@ -162,8 +163,8 @@ def _sentence_on_some_mirrored(is_mirrored_image: Mapping[str, bool]) -> tuple[s
     total = len(is_mirrored_image)
     verb = "is a mirror image" if len(mirrored) == 1 else "are mirror images"
     question = "are x and y exchanged, or line and sample?"
-    doubt = (f"Mirror image of the ground, unlike {total - len(mirrored)} others of the batch: "
-             f"{question}")
+    others = counted(total - len(mirrored), "other")
+    doubt = f"Mirror image of the ground, unlike {others} of the batch: {question}"
     return (f"{len(mirrored)} of {total} images {verb} of the ground, the others are not "
             f"({question})", dict.fromkeys(mirrored, doubt))
 
