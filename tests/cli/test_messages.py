@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from termsel import TermselError, read
 from termsel.__main__ import silence_warnings
 from termsel.cli.main import cli
 from termsel.cli.usage import usage_message
@@ -367,3 +368,69 @@ def test_every_command_that_writes_a_file_replaces_none_unless_asked() -> None:
                if {"output", "out"} & {param.name for param in command.params}
                and "overwrite" not in {param.name for param in command.params}]
     assert without == ["compare"]
+
+
+def utm_table(folder: Path, changed: dict[int, str]) -> str:
+    """Write 10 points in UTM, some with another easting, and return the file's name."""
+    table = folder / "utm.csv"
+    eastings = {i: str(270000 + 90 * i) for i in range(10)} | changed
+    rows = [f"P{i},{37 * i % 100},{53 * i % 90},{eastings[i]},{3850000 + i * i},9"
+            for i in range(10)]
+    table.write_text("\n".join(["# crs: EPSG:32639", "id,line,sample,x,y,z", *rows]))
+    return str(table)
+
+
+def test_a_digit_too_many_in_one_row_is_not_taken_for_feet(tmp_path: Path) -> None:
+    message = refused("run", utm_table(tmp_path, {3: "2700270"}))
+    assert "The other 9 rows are within the zone: is there a digit too many?" in message
+    assert "feet" not in message
+
+
+def test_rows_in_metres_among_degrees_are_counted(tmp_path: Path) -> None:
+    table = tmp_path / "mixed.csv"
+    table.write_text("# crs: EPSG:4979\nid,line,sample,x,y,z\n" + "".join(
+        f"P{i},{i},{i * i},{48 + i / 100 if i > 2 else 270000},34.{i},9\n" for i in range(10)))
+    assert "3 of 10 rows look like metres" in refused("run", str(table))
+
+
+def test_one_number_in_all_rows_names_the_column(tmp_path: Path) -> None:
+    table = tmp_path / "same.csv"
+    table.write_text("id,line,sample,x,y,z\n" + "".join(
+        f"P{i},100,{20 * i},48.{i},34.{i * i},{i}\n" for i in range(12)))
+    message = refused("run", str(table), "--crs", "EPSG:4979")
+    assert "column 'line': all 12 control points have line 100" in message
+    assert "--columns line=NAME" in message
+
+
+def test_a_point_outside_the_image_can_be_left_out(example_files: Path, tmp_path: Path) -> None:
+    table = tmp_path / "gcps.csv"
+    rows = (example_files / "gcps.csv").read_text().splitlines()
+    cells = rows[22].split(",")
+    cells[2] = "-21.5"
+    table.write_text("\n".join([*rows[:22], ",".join(cells), *rows[23:]]))
+    image = example_files / "scene.tif"
+    assert f"Or leave it out: --off {cells[0]}." in refused("run", str(table), str(image))
+    assert len(read(table, image=image, off=cells[0])) == 97
+
+
+@pytest.mark.parametrize(("words", "message"), [
+    (["run", "--res", "5"], "there is no option --res. It belongs to termsel rectify"),
+    (["describe", "EPSG:4326"], "Give it to a command: --crs EPSG:4326.")])
+def test_what_is_known_elsewhere_is_not_guessed(words: list[str], message: str) -> None:
+    assert message in refused(*words)
+
+
+def test_a_database_is_not_called_a_raster(tmp_path: Path) -> None:
+    database = tmp_path / "roads.gpkg"
+    database.write_bytes(b"SQLite format 3\0" + bytes(200))
+    with pytest.raises(TermselError, match="If it holds vectors, give an image in its place"):
+        read([], image=database)
+
+
+def test_two_points_are_not_sent_to_leave_one_out(tmp_path: Path) -> None:
+    table = tmp_path / "two.csv"
+    table.write_text("id,line,sample,x,y,z\nA,1,2,48.1,34.1,5\nB,30,90,48.2,34.3,9\n")
+    message = refused("stability", "--points", str(table), "--crs", "EPSG:4979", "--problem",
+                      "rfm-terms")
+    assert "are needed. Measure more" in message
+    assert "press" not in message

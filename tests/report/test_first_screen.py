@@ -260,3 +260,12 @@ def test_the_solver_of_a_second_step_is_told(steps: str, solvers: str) -> None:
     screen = "\n".join(first_screen(**SEARCHED, options=options,
                                     offered={"n_terms": 20, "n_features": 40}))
     assert f"selected by {solvers}\n" in screen
+
+
+def test_many_outliers_are_no_slips_to_leave_out() -> None:
+    few, many = ([outlier(f"X{i}", 90.0, i % 2 == 0) for i in range(n)] for n in (4, 9))
+    assert next_step("r", outliers=few).startswith("Next: run again with --off")
+    assert "--off" not in next_step("r", outliers=many)
+    lines = "\n".join(first_screen(outliers=many))
+    assert "are rows shifted, or matches wrong? 9 of " in lines
+    assert "--verbose shows the option" not in lines

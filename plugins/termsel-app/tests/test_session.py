@@ -330,3 +330,13 @@ def test_every_point_has_a_prediction_error_of_its_own() -> None:
     assert {"check"} == {row.role for row in result.residuals if row.used} - {"control"}
     residuals = {row.id: row.distance for row in result.residuals}
     assert np.mean([errors[name] > residuals[name] for name in used]) > 0.8
+
+
+def test_a_list_of_places_is_sent_to_the_map(tmp_path: Path) -> None:
+    table = tmp_path / "list.csv"
+    table.write_text("Label,Easting,Northing,Elevation\n" + "".join(
+        f"P{i},{270000 + i},{3850000 + i * i},9\n" for i in range(5)))
+    files = Files(None, (), str(table), None, None, None, "EPSG:32639", (10, 10))
+    with pytest.raises(TermselError) as error, open_session(files, tmp_path / "session"):
+        pass
+    assert "Give the list as a map" in str(error.value)

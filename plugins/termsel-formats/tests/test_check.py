@@ -213,3 +213,11 @@ def test_another_image_is_refused(result: termsel.Result, tmp_path: Path) -> Non
     other = raster(tmp_path / "map.tif", exact(result), size=(410, 500))
     with pytest.raises(TermselError, match="410 lines and 500 samples, and the image of the"):
         compared(other, result)
+
+
+def test_a_world_file_that_lacks_a_number_is_named(tmp_path: Path) -> None:
+    (tmp_path / "scene.tif").touch()
+    world = tmp_path / "scene.tfw"
+    world.write_text("10\n0\n0\n-10\n500000\n")
+    with pytest.raises(TermselError, match="6 numbers, a line each, and this one has 5"):
+        compared(world)

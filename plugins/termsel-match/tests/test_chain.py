@@ -197,7 +197,7 @@ def test_a_folder_that_cannot_be_made_is_refused_at_once(place: Any, says: Any,
 
 def test_vectors_that_cannot_be_read_are_refused_before_the_matching(place: Any,
                                                                      tmp_path: Path) -> None:
-    with pytest.raises(TermselError, match="no vector file of a format that termsel opens"):
+    with pytest.raises(TermselError, match="a table or other text, without lines of a map"):
         georeference(tmp_path / "none.tif", place / "ortho.tif", tmp_path / "map.tif",
                      dem=place / "dem.tif", vectors=place / "image.RPB")
 

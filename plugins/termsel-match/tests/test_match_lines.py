@@ -275,7 +275,7 @@ def test_what_cannot_be_matched_is_refused(place: Any, vectors: Callable[..., Pa
             (vectors(far), dem, "no straight piece"),
             (place / "roads.gpkg", elsewhere, "does not cover"),
             (tmp_path / "none.gpkg", dem, "does not exist"),
-            (place / "image.RPB", dem, "no vector file of a format that termsel opens")):
+            (place / "image.RPB", dem, "table or other text, without lines of a map")):
         with pytest.raises(TermselError, match=reason):
             match(image, path, dem=heights)
     ways = tmp_path / "ways.geojson"

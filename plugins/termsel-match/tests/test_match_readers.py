@@ -175,3 +175,24 @@ def test_second_places_on_the_ground_are_read_as_points(file: Any) -> None:
     with pytest.raises(TermselError, match="x1 and y1 are beyond any image") as error:
         read(path)
     assert "--columns sample=x0,line=y0,x=x1,y=y1" in str(error.value)
+
+
+def test_a_match_outside_the_image_is_left_out_with_its_line(
+        place: Any, file: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    image = tmp_path / "image.tif"
+    with rasterio.open(image, "w", driver="GTiff", height=40, width=40, count=1,
+                       dtype="uint8") as raster:
+        raster.write(np.ones((1, 40, 40), dtype=np.uint8))
+    rows = [f"{i},{2 * i},{i},{i + 1}" for i in range(1, 13)]
+    header = "image_line,image_sample,reference_line,reference_sample"
+    rows[4] = "15.1,-21.2,7,7"
+    table = file("\n".join([header, *rows]))
+    with caplog.at_level("WARNING", "termsel.match"):
+        features = read(table, reference=str(place / "ortho.tif"), image=image)
+    assert len(features) == 11
+    assert "M005" not in features.ids
+    assert "1 of 12 matches is outside the image and left out: line 6 of the file." in caplog.text
+    # Of another image many are outside, and that is no slip of a matcher.
+    table = file("\n".join([header, *rows[4:7]]))
+    with pytest.raises(TermselError, match="before the first pixel"):
+        read(table, reference=str(place / "ortho.tif"), image=image)

@@ -49,6 +49,9 @@ def describe(name: str) -> None:
         known_names = []
         for kind in KINDS:
             known_names += names.names(kind)
+        if _is_crs(name):
+            raise TermselError(f"{name} is a coordinate reference system, which termsel does not "
+                               "describe", hint=f"Give it to a command: --crs {name}.")
         raise _unknown(name, known_names, names.hint(name, *KINDS))
     # One name may be a model and a solver: all of them are described.
     for i, (kind, entry) in enumerate(entries):
@@ -57,6 +60,23 @@ def describe(name: str) -> None:
         echo(f"{entry.name}: {KINDS[kind].word} of {entry.provided_by}")
         _lead(kind, entry)
         _DESCRIBE.get(kind, _describe_format)(entry)
+
+
+def _is_crs(name: str) -> bool:
+    """Return whether a name is that of an authority for a CRS, such as EPSG:4326."""
+    from termsel.data.coordinates.crs import normalise
+
+    # "package:name" has the same form.
+    if not _OF_AUTHORITY.fullmatch(name):
+        return False
+    try:
+        normalise(name)
+    except TermselError:
+        return False
+    return True
+
+
+_OF_AUTHORITY = re.compile(r"[A-Za-z_0-9]+:\w+")
 
 
 def _unknown(name: str, known_names: Iterable[str], hint: str) -> TermselError:

@@ -74,25 +74,30 @@ def _no_such_option(error: click.NoSuchOption) -> str:
         return f"there is no option {error.option_name}. Set it by --set {key}=VALUE."
     options = [max(param.opts, key=len) for param in params
                if isinstance(param, click.Option) and not param.hidden]
-    near = _near_option(error.option_name, options)
+    others = _commands_with(error.option_name, error.ctx)
+    # What another command calls so is no slip of the pen.
+    near = _near_option(error.option_name, options, spelt=bool(others))
     if near:
         return f"there is no option {error.option_name}. Did you mean {near}?"
-    others = _commands_with(error.option_name, error.ctx)
     elsewhere = f" It belongs to termsel {first_of(others, 4)}." if others else ""
     # A command of many options is left to its help.
     listed = f" Known: {', '.join(options)}." if 0 < len(options) <= _MOST_OPTIONS else ""
     return f"there is no option {error.option_name}.{elsewhere}{listed}"
 
 
-def _near_option(typed: str, options: Sequence[str]) -> str:
-    """Return the option that is probably meant; "" if none is near."""
+def _near_option(typed: str, options: Sequence[str], spelt: bool) -> str:
+    """Return the option that is probably meant; "" if none is near.
+
+    What is `spelt` as an option of another command is not taken for misspelt.
+    """
     names = {option.lstrip("-"): option for option in options}
     word = typed.lstrip("-").replace("_", "-").lower()
     meant = [name for name in _ALSO_CALLED.get(word, ()) if name in names]
     # --out for --output, and the other way round.
     begun = [name for name in names if len(word) >= _LEAST_BEGUN
              and (name.startswith(word) or word.startswith(name))]
-    near = [*meant, *begun, *get_close_matches(word, names, n=1, cutoff=_ALIKE)]
+    alike = [] if spelt else get_close_matches(word, names, n=1, cutoff=_ALIKE)
+    near = [*meant, *begun, *alike]
     return names[near[0]] if near else ""
 
 

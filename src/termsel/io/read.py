@@ -26,6 +26,7 @@ from termsel.data.coordinates.earth import say_turned, unknown_crs
 from termsel.data.coordinates.plausible import check_ground, note_on_mixed
 from termsel.data.features import FeatureSet, no_lines, no_points
 from termsel.data.georeferenced import warn_of_incomplete, warn_of_map
+from termsel.data.roles import asked_roles, with_roles
 from termsel.data.rpc import Rpc
 from termsel.data.tables.columns import LINES, OPTIONAL, POINTS, columns_text
 from termsel.formats.base import (
@@ -97,6 +98,7 @@ def read(
     image: Path | str | None = None,
     image_origin: str | None = None,
     swapped: str | None = None,
+    off: str | None = None,
     **options: Any,
 ) -> FeatureSet:
     """Return the control features in files of points, lines and areas.
@@ -139,6 +141,9 @@ def read(
         "bottom-left-corner" for lines upwards.
     swapped : {"xy", "line-sample"}, optional
         Coordinates that the file has exchanged; they are exchanged back.
+    off : str, optional
+        Ids of features that may lie outside the image, with commas between them: a run leaves them
+        out.
     **options
         Options of the readers, such as `raster` of "qgis-points", and of packages, such as
         `camera_focal` of termsel-cameras.
@@ -191,7 +196,7 @@ def read(
                                     "FeatureSet.with_.")
         with averaging(repeated):
             features = _with_image_size(_read_frame(points, crs, of_readers, origin, swapped),
-                                        image, size)
+                                        image, size, off)
             features = _with_rpc_and_heights(features, dem, rpc, z_unit, image_part)
             return _with_packages(features, of_packages, image)
     with ExitStack() as stack:
@@ -208,7 +213,7 @@ def read(
         features = read_features(*paths[:2], areas=paths[2], crs=crs, readers=readers,
                                  formats=formats, options=of_readers, origin=origin,
                                  swapped=swapped)
-        features = _with_image_size(features, image, size)
+        features = _with_image_size(features, image, size, off)
     files = [path for path in (points, lines, areas) if path is not None]
     try:
         features = _with_rpc_and_heights(features, dem, rpc, z_unit, image_part)
@@ -288,11 +293,15 @@ def features_of(source: Any, crs: str | None = None,
 
 
 def _with_image_size(features: FeatureSet, image: Path | str | None, size: tuple[int, int] | None,
-                     ) -> FeatureSet:
-    """Return features with the size of their image, where they do not state it; all lie in it."""
+                     off: str | None) -> FeatureSet:
+    """Return features with the size of their image, where they do not state it.
+
+    All lie in it but those that are off.
+    """
     if image is None or size is None:
         return features
-    require_inside(features, size, image)
+    in_use = with_roles(features, asked_roles(off, None)) if off else features
+    require_inside(in_use, size, image)
     warn_of_incomplete(image)
     warn_of_map(features, image)
     return features if features.image_size else replace(features, image_size=size)

@@ -24,7 +24,9 @@ from termsel.results.blocks import Fact
 from termsel.results.verdict import (
     NOT_FEW,
     are_alike,
+    contradicting_of,
     label_of,
+    may_be_shifted,
     off_option,
     size_of_errors,
     too_few_to_test,
@@ -267,7 +269,7 @@ def outlier_lines(record: Record) -> list[str]:
                      f"{'contradicts' if len(independent) == 1 else 'contradict'} the model: "
                      f"{_list_worst(independent)}")
     # A longer option would not fit into the command that follows.
-    if len(off_option(record)) > _LONGEST_OPTION:
+    if len(off_option(record)) > _LONGEST_OPTION and not may_be_shifted(record):
         lines[-1] += "; --verbose shows the option that leaves them out"
     return lines
 
@@ -551,6 +553,9 @@ def _urgent(record: Record) -> Iterator[str]:
     if read and read.two_groups:
         shift = read.two_groups.partition(", as if")[0]
         yield f"check the datum of the points: {shift}"
+    elif may_be_shifted(record):
+        yield (f"are rows shifted, or matches wrong? {contradicting_of(record)} contradict the "
+               "others")
     if record.interrupted:
         yield "the run was interrupted; run it again to its end"
 
@@ -567,6 +572,8 @@ def next_step(record: Record, folder: str = "") -> str:
     if read and read.doubt:
         pair = "line-sample" if read.doubt.startswith("l") else "xy"
         return f"Next: run again with --set swapped={pair}"
+    if may_be_shifted(record):
+        return "Next: compare some of these points with the map before leaving any out"
     off = off_option(record)
     # A command that is complete is better than advice.
     if off and len(off) <= _LONGEST_OPTION:

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from termsel.auto.compare import WITHOUT_BLUNDERS
 from termsel.auto.methods import BY_NAME
 from termsel.core.errors import rounded
-from termsel.data.record.figures import BlunderTest, RmseByRole
+from termsel.data.record.figures import BlunderTest, Outlier, RmseByRole
 from termsel.data.record.record import Record
 from termsel.results.blocks import Block, TableBlock
 
@@ -94,6 +94,39 @@ def off_option(record: Record) -> str:
     return f"--off {shlex.quote(','.join(wrong))}" if wrong else ""
 
 
+_MANY_OUTLIERS = (5, 0.15)
+"""Number and share of the points from which on outliers are no slips: rows may be shifted, as by
+sorting a part of a table, or matches wrong."""
+
+
+def may_be_shifted(record: Record) -> bool:
+    """Return whether so many points contradict the others that rows may be shifted."""
+    fewest, least_share = _MANY_OUTLIERS
+    outliers = _sure_outliers(record)
+    return len(outliers) >= fewest and len(outliers) > least_share * _points_in(record)
+
+
+def _sure_outliers(record: Record) -> list[Outlier]:
+    """Return the points that are outliers, without possible ones."""
+    return [outlier for outlier in record.outliers
+            if outlier.kind == "point" and outlier.certainty != "possible"]
+
+
+def _points_in(record: Record) -> int:
+    """Return the number of points that took part, or were rejected as outliers."""
+    counts = record.data.counts
+    roles = record.data.roles
+    in_use = {*roles.control, *roles.check, *roles.independent}
+    rejected = [outlier for outlier in record.outliers
+                if outlier.kind == "point" and outlier.id not in in_use]
+    return counts.control + counts.check + counts.independent + len(rejected)
+
+
+def contradicting_of(record: Record) -> str:
+    """Return how many of the points are outliers, such as "16 of 97 points"."""
+    return f"{len(_sure_outliers(record))} of {_points_in(record)} points"
+
+
 def contradicting(record: Record) -> str:
     """Return the id of the outlier among independent points, or how many of them are outliers."""
     wrong = [outlier.id for outlier in record.outliers if outlier.role == "independent"]
@@ -146,7 +179,12 @@ def verdict_table(record: Record) -> Iterator[Block]:
                  "rejected" if outlier.excluded else
                  "in the figures" if outlier.role == "independent" else "in use")
                 for outlier in outliers])
-        if off := off_option(record):
+        off = off_option(record)
+        if may_be_shifted(record):
+            yield (f"{contradicting_of(record)} contradict the others, more than slips do. Rows of "
+                   "the table may be shifted against each other or sorted in part, or matches "
+                   "wrong: compare some points with the map before leaving any out.")
+        elif off:
             yield f"Leave out those in use with {off} and run again."
     else:
         yield "Outliers were tested in an earlier run, not here." \

@@ -73,13 +73,15 @@ def require_enough(observations: Observations, criterion: Criterion, model: Sens
     if len(control) < fewest:
         noun = f"control {control.word.removesuffix('s')}"
         others = _others_in_words(observations)
+        would_do = criterion.needs_check and len(observations.together) >= fewest
+        without_selection = " Or choose by leave-one-out, without selection points: --criterion " \
+            "press." if would_do else ""
         raise TermselError(
             f"{_count_of_control(control)}{others}; at least {counted(fewest, noun)} "
             f"{'is' if fewest == 1 else 'are'} needed",
             hint=("Measure more, or give more features the role control." if others
                   else "Measure more.")
-                 + " Or choose by leave-one-out, without selection points: --criterion press."
-                 * criterion.needs_check
+                 + without_selection
                  + CORRECTED * ("rpc" in model.options))
     if criterion.needs_check and len(check) < MIN_CHECK:
         raise TermselError(
@@ -87,6 +89,7 @@ def require_enough(observations: Observations, criterion: Criterion, model: Sens
             f"{criterion.name} needs at least {MIN_CHECK}",
             hint="Give more points the role check: they choose among selections. Or choose by "
                  "leave-one-out, without selection points: --criterion press.")
+    _refuse_one_number(control)
     # The geometry of control matters where nothing else determines the model.
     if fewest == 1:
         return  # what is known of the image makes up for what they do not determine
@@ -108,6 +111,26 @@ def require_enough(observations: Observations, criterion: Criterion, model: Sens
         raise TermselError(
             "all control lines are parallel in the image, so nothing is measured along them",
             hint="Add lines of another direction, or control points with --set mixed=true.")
+
+
+_ALL_ALIKE = 5
+"""Points from which on the same line or sample at all of them is that of a wrong column."""
+
+
+def _refuse_one_number(control: FeatureSet) -> None:
+    """Raise TermselError where all points have the same line, or the same sample."""
+    image = control.points.image
+    if len(control.points) < _ALL_ALIKE:
+        return
+    is_one_number = np.ptp(image, axis=0) == 0.0
+    if is_one_number.sum() != 1:  # both: all are at one place, which is said by itself
+        return
+    axis = int(np.argmax(is_one_number))
+    name = ("line", "sample")[axis]
+    raise TermselError(
+        f"all {counted(len(control.points), 'control point')} have {name} {image[0, axis]:g}",
+        column=name,
+        hint=f"Is that the right column? Name the one that holds it: --columns {name}=NAME.")
 
 
 def _count_of_control(control: FeatureSet) -> str:

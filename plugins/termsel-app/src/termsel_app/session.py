@@ -514,6 +514,21 @@ def _cells(cells: Mapping[str, str], names: tuple[str, ...], number: int,
     return values
 
 
+def _read_features(files: Files) -> FeatureSet:
+    """Return the points and lines that a session begins with.
+
+    Raises TermselError for a list without places in the image, with what to do with it.
+    """
+    try:
+        return termsel.read(files.points, files.lines, crs=files.crs)
+    except TermselError as error:
+        if "has ground coordinates alone" in error.what:
+            error.hint = ("The page begins with measured points. Give the list as a map, and click "
+                          "each of its points there and in the image: --map FILE.gpkg. QGIS saves "
+                          "a table as such a layer (Add Delimited Text Layer, then Export).")
+        raise
+
+
 @contextmanager
 def open_session(files: Files, folder: Path, *, remote: bool = False,
                  drivers: tuple[str, ...] = ()) -> Iterator[Session]:
@@ -541,7 +556,7 @@ def open_session(files: Files, folder: Path, *, remote: bool = False,
         # Files of features begin a session; the journal has them afterwards.
         features = None
         if before is None and (files.points or files.lines):
-            features = termsel.read(files.points, files.lines, crs=files.crs)
+            features = _read_features(files)
         crs = _crs(files, features, before)
         maps = open_maps(files.maps, crs, remote)
         stack.callback(maps.close)

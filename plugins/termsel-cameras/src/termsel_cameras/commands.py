@@ -105,6 +105,9 @@ def _chosen_projection(sheets: list[FeatureSet], candidates: Path | None,
          f"--set projection='{best.crs}'")
     if len({figure for _, figure, _ in rows}) == 1 and len(rows) > 1:
         echo("All predict these sheets alike, so the sheets do not show which it is.")
+    elif len(sheets) == 1:
+        echo("One sheet is no series, and its points show little of a projection: these figures "
+             "may differ by chance. Give all sheets, or take the projection that the map names.")
     return best.crs
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from termsel import FeatureSet, Reader, TermselError
 from termsel_match.images.rasters import FloatArray
-from termsel_match.points.readers import REFERENCE, bytes_of, text_of, with_ground
+from termsel_match.points.readers import IMAGE, REFERENCE, bytes_of, in_image, text_of, with_ground
 
 __all__ = ["AspMatches", "is_matches", "read_matches"]
 
@@ -36,7 +36,7 @@ class AspMatches(Reader):
     name = "asp-match"
     summary = ("ASP's .match files, and text from its parse_match_file.py: two counts, then the "
                "interest points")
-    declared_options = (REFERENCE,)
+    declared_options = (REFERENCE, IMAGE)
 
     def sniff(self, path: Path, head: bytes) -> bool:
         """Return True if two equal counts are followed by an interest point."""
@@ -47,8 +47,10 @@ class AspMatches(Reader):
         # The first image is the one to georeference: its positions are the image's, the others the
         # map's.
         first, second = read_matches(path)
-        return with_ground(path, [f"M{i + 1:03d}" for i in range(len(first))], first, second,
-                           self.options["reference"], None)
+        inside = in_image(first, self.options["raster"],
+                          [f"match {i + 1}" for i in range(len(first))])
+        return with_ground(path, [f"M{i + 1:03d}" for i in np.flatnonzero(inside)], first[inside],
+                           second[inside], self.options["reference"], None)
 
 
 def is_matches(head: bytes) -> bool:

@@ -170,13 +170,18 @@ def refused_format(path: object, head: bytes, of: object = None) -> TermselError
     name = foreign_format(head)
     # What is known is named, so that whoever trusts the file can turn its driver on.
     hint = f"Convert it: gdal_translate {path if len(str(path)) < 100 else 'FILE'} map.tif."
-    if name:
+    if head.startswith(_DATABASE):
+        # A GeoPackage may hold either.
+        reason = "this is a GeoPackage or another database, and termsel opens no raster in one"
+        hint = ("If it holds vectors, give an image in its place: lines of a map are for termsel "
+                f"match-lines --vectors. If it holds a raster: {hint[len('Convert it: '):]}")
+    elif name:
         reason = f"this is a raster of the format {name}, which termsel does not open"
         hint = f"{hint} {DRIVER_HINT.format(name=name)}"
     elif not head:
         reason = "the file is empty, expected a raster"
         hint = "Copy or download it again."
-    elif _is_text(head):
+    elif is_text(head):
         reason = "this is a file of text, not a raster"
         hint = "Give a raster, such as a GeoTIFF. Tables of points and RPCs are for termsel run: " \
                "--points FILE, --rpc FILE."
@@ -188,7 +193,10 @@ def refused_format(path: object, head: bytes, of: object = None) -> TermselError
     return TermselError(reason, file=path, hint=hint)
 
 
-def _is_text(head: bytes) -> bool:
+_DATABASE = b"SQLite format 3\0"
+
+
+def is_text(head: bytes) -> bool:
     """Return whether the first bytes of a file are text without markup: a table, or words."""
     try:
         # The last character may be cut.

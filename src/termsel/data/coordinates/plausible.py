@@ -45,11 +45,8 @@ def check_ground(features: FeatureSet) -> None:
     if not len(xy):
         return
     if kind == "geographic":
-        metres = (np.abs(xy) > 360).any(axis=1).mean() > 0.5
-        hint = ("These look like metres: state the projected CRS with --crs." if metres else
-                "x must be longitude and y latitude, in degrees.")
         _check_range(xy, features, *_DEGREE_RANGE,
-                     f"cannot be longitude and latitude in {crs}", hint)
+                     f"cannot be longitude and latitude in {crs}", _hint_of_degrees(xy, features))
     elif kind == "geocentric":
         _check_distance(ground, features, crs)
     elif kind == "projected":
@@ -58,7 +55,7 @@ def check_ground(features: FeatureSet) -> None:
         if utm:
             _check_range(xy, features, *_UTM_RANGE[utm[1]],
                          f"cannot be easting and northing in {crs} (UTM)",
-                         _hint_of_utm(xy, int(crs[-2:]), *_UTM_RANGE[utm[1]]))
+                         _hint_of_utm(xy, features, int(crs[-2:]), *_UTM_RANGE[utm[1]]))
 
 
 def _check_distance(ground: FloatArray, features: FeatureSet, crs: str) -> None:
@@ -81,9 +78,33 @@ def _check_distance(ground: FloatArray, features: FeatureSet, crs: str) -> None:
         f"{radius:.5g} m away", ids=[name], column=column, hint=hint)
 
 
-def _hint_of_utm(xy: FloatArray, zone: int, low: tuple[float, float],
+def _hint_of_degrees(xy: FloatArray, features: FeatureSet) -> str:
+    """Return a sentence on the likely reason why coordinates (n, 2) cannot be degrees."""
+    are_metres = (np.abs(xy) > 360).any(axis=1)
+    if are_metres.mean() > 0.5:
+        return "These look like metres: state the projected CRS with --crs."
+    hint = "x must be longitude and y latitude, in degrees."
+    in_metres = len(np.unique(features.vertex_feature[are_metres]))
+    if in_metres > 1:
+        hint = (f"{hint} {in_metres} of {counted(len(features), 'row')} look like metres, as of "
+                "UTM: transform them to degrees.")
+    return hint
+
+
+_FEW_OUTSIDE = 0.2
+"""Share of the coordinates up to which those outside a range are slips, as the others fit."""
+
+
+def _hint_of_utm(xy: FloatArray, features: FeatureSet, zone: int, low: tuple[float, float],
                  high: tuple[float, float]) -> str:
     """Return a sentence on the likely reason why coordinates (n, 2) are outside a zone of UTM."""
+    is_outside = ((xy < low) | (xy > high)).any(axis=1)
+    if is_outside.mean() <= _FEW_OUTSIDE:
+        outside = len(np.unique(features.vertex_feature[is_outside]))
+        rows = "this row" if outside == 1 else f"these {outside} rows"
+        inside = len(features) - outside
+        return (f"The other {counted(inside, 'row')} {'is' if inside == 1 else 'are'} within the "
+                f"zone: is there a digit too many? Correct {rows}.")
     if (xy[:, 0] // 1e6 == zone).all():
         crs = _WITH_ZONE.get(zone)
         stated = f", or state the CRS that has them, --crs {crs} (ETRS89)" if crs else ""

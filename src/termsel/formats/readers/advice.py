@@ -31,6 +31,10 @@ EXPECTED = ("Give a table headed id,role,line,sample,x,y,z, or another format of
             "termsel list readers.")
 """What a file of points should be."""
 
+TO_MEASURE = ("termsel app IMAGE --map FILE shows such points as a layer, such as a GeoPackage, to "
+              "measure them; with a result, termsel project DIR --points FILE computes them.")
+"""How places in the image of points on the ground are found."""
+
 _ROWS = 200
 _BELONGS = 0.9
 """Share of a column's variance that ground explains of an image, or an image of its ground."""
@@ -211,8 +215,7 @@ def _with_readings(error: TermselError, header: Sequence[str], rows: Sequence[Se
             error.what = "this table has ground coordinates alone: columns for line and sample " \
                 "are missing"
             error.column = None
-            error.hint = ("Add the image coordinates of each point. If you have a result, it "
-                          "computes them: termsel project DIR --points FILE.")
+            error.hint = f"Add the image coordinates of each point. {TO_MEASURE}"
         return error
     # No reading has all columns; a point read so could not be shown.
     if "=?" in texts[0]:
@@ -316,7 +319,8 @@ def _missing_pair(path: Path, header: Sequence[str], numeric: Sequence[int],
             return TermselError(
                 f"this table has {present} coordinates alone: columns for {names} are missing. Its "
                 f"columns are {', '.join(map(str.strip, header))}", file=path,
-                hint=f"Add the {other} coordinates of each point. {expected}")
+                hint=f"Add the {other} coordinates of each point. "
+                     f"{TO_MEASURE if other == 'image' else expected}")
     return None
 
 

@@ -21,7 +21,7 @@ from termsel.core.files.apart import apart
 from termsel.core.files.atomic import private_folder
 from termsel.core.files.drivers import DRIVER_HINT, WORKING_DRIVERS, gdal_options, vector_drivers
 from termsel.core.files.names import is_there, refuse_grids, require_regular
-from termsel.core.files.sources import foreign_format
+from termsel.core.files.sources import foreign_format, is_text
 from termsel.formats.base import read_head, read_text
 from termsel.formats.readers.geojson import Feature
 from termsel.formats.readers.tables import COLUMNS
@@ -194,7 +194,12 @@ def _refuse_queries(path: Path) -> None:
 def _foreign(path: Path) -> TermselError:
     """Return the error for a file of a driver that is off."""
     with path.open("rb") as file:
-        name = foreign_format(file.read(4096))
+        head = file.read(4096)
+    if is_text(head):
+        return TermselError("this is a table or other text, without lines of a map", file=path,
+                            hint="Give a file of vectors, such as roads in a GeoPackage or in "
+                                 "GeoJSON. Tables of points are for termsel run: --points FILE.")
+    name = foreign_format(head)
     reason = f"this is of the format {name}, which termsel does not open" if name else \
         "this is no vector file of a format that termsel opens"
     allowing = f" {DRIVER_HINT.format(name=name)}" if name else ""

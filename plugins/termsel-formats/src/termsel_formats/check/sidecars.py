@@ -40,7 +40,10 @@ def raster_of(path: Path, result: Result | None) -> Iterator[Path]:
         entry for entry in sorted(path.parent.iterdir())
         if entry.stem == stem and entry.suffix.lower() in _PICTURES]
     picture = next((candidate for candidate in candidates if candidate.is_file()), None)
+    is_world_file = match is not None and match["rest"].lower() not in ("_rpc.txt", ".rpb")
     if picture is not None:
+        if is_world_file:
+            _require_world_file(path)
         yield picture
         return
     size = None if result is None else result.features.image_size
@@ -50,12 +53,40 @@ def raster_of(path: Path, result: Result | None) -> Iterator[Path]:
                            "with --image." if result is None else
                            "Put the image beside it: the run of --result does not know its size, "
                            "as it had no --image.")
+    if is_world_file:
+        _require_world_file(path)
     with private_folder() as folder:
         image = folder / ("image.tif" if match else Path(stem).with_suffix(".tif").name)
         _write_empty(image, size)
         name = f"{image.name}{_AUXILIARY}" if auxiliary else f"image{match['rest']}"  # type: ignore[index]
         shutil.copy(path, folder / name)
         yield image
+
+
+def _require_world_file(path: Path) -> None:
+    """Raise TermselError for a file that is named as a world file, and lacks some of its numbers.
+    """
+    words = path.read_bytes().decode("utf-8", errors="replace").split()
+    numbers = [word for word in words if _is_number(word)]
+    if len(numbers) != _NUMBERS or len(words) != _NUMBERS:
+        other = "" if len(numbers) == len(words) else \
+            f", and {len(words) - len(numbers)} words that are none"
+        raise TermselError(
+            f"a world file has {_NUMBERS} numbers, a line each, and this one has "
+            f"{len(numbers)}{other}: programs ignore it", file=path,
+            hint="Correct it, or write it again: termsel export DIR --to world-file.")
+
+
+def _is_number(word: str) -> bool:
+    """Return whether a word is a finite number, with a point or a comma for its decimals."""
+    try:
+        return bool(np.isfinite(float(word.replace(",", "."))))
+    except ValueError:
+        return False
+
+
+_NUMBERS = 6
+"""Numbers of a world file."""
 
 
 def _write_empty(path: Path, size: tuple[int, int]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import logging
 from collections.abc import Iterator, Sequence
 from math import isfinite
 from pathlib import Path
@@ -10,12 +11,20 @@ from pathlib import Path
 import numpy as np
 
 from termsel import FeatureSet, Option, Points, Reader, TermselError
-from termsel.toolkit import read_data
+from termsel.toolkit import BoolArray, read_data
 from termsel_match.images.rasters import FloatArray, open_picture
 from termsel_match.images.warps import crs_of
 
+log = logging.getLogger("termsel.match")
+
 REFERENCE = Option("reference", "", "Required: the georeferenced image in which the second places "
                                     "were matched.")
+
+IMAGE = Option("raster", "", "The image: a few matches outside it are left out. By default that of "
+                             "the run, --image FILE.")
+_MOST_NAMED = 10
+_MOST_OUTSIDE = 0.1
+"""Share of matches outside the image up to which these are wrong, and not the image."""
 
 _AROSICS = ("POINT_ID", "X_IM", "Y_IM", "X_MAP", "Y_MAP", "X_SHIFT_M", "Y_SHIFT_M")
 # AROSICS' fill value.
@@ -77,7 +86,7 @@ class MatchesCsv(Reader):
     name = "matches-csv"
     summary = ("matches as a table headed image_line,image_sample,reference_line,"
                "reference_sample[,id,sigma]")
-    declared_options = (REFERENCE,)
+    declared_options = (REFERENCE, IMAGE)
 
     def sniff(self, path: Path, head: bytes) -> bool:
         """Return True if the header names lines and samples of both images."""
@@ -94,7 +103,9 @@ class MatchesCsv(Reader):
         ids = []
         rows = []
         sigma = []
+        lines = []
         for line, cells in _rows(path, names):
+            lines.append(f"line {line}")
             rows.append([_number(cells, name, path, line) for name in names])
             ids.append((cells.get("id") or "").strip() or f"M{len(rows):03d}")
             if "sigma" in cells:
@@ -110,8 +121,33 @@ class MatchesCsv(Reader):
             raise TermselError(NEEDS_REFERENCE, file=path, hint=(
                 "Give it with --set reference=ORTHO.tif. If the second places are on the ground, "
                 f"declare the columns: {columns}."))
-        return with_ground(path, ids, positions[:, :2], positions[:, 2:], self.options["reference"],
-                            np.repeat(sigma, 2).reshape(-1, 2) if sigma else None)
+        inside = in_image(positions[:, :2], self.options["raster"], lines)
+        return with_ground(path, [ids[i] for i in np.flatnonzero(inside)], positions[inside, :2],
+                           positions[inside, 2:], self.options["reference"],
+                           np.repeat(sigma, 2).reshape(-1, 2)[inside] if sigma else None)
+
+
+def in_image(positions: FloatArray, image: str, names: Sequence[str]) -> BoolArray:
+    """Return which matches (n, 2), line and sample, are in the image, (n,); a note tells of others.
+
+    A matcher yields some wrong matches, and those outside are. Where many are outside, or no image
+    is known, all are returned: it may be another image. `names` say where in the file they are,
+    such as "line 58".
+    """
+    everywhere = np.ones(len(positions), dtype=bool)
+    if not image:
+        return everywhere
+    with open_picture(image) as picture:
+        last = np.array(picture.size) - 0.5
+    inside = np.asarray(((positions >= -0.5) & (positions <= last)).all(axis=1))
+    outside = [names[i] for i in np.flatnonzero(~inside)]
+    if not outside or len(outside) > _MOST_OUTSIDE * len(positions):
+        return everywhere
+    more = len(outside) - _MOST_NAMED
+    listed = ", ".join(outside[:_MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
+    log.warning("Note: %d of %d matches %s outside the image and left out: %s of the file.",
+                len(outside), len(positions), "is" if len(outside) == 1 else "are", listed)
+    return inside
 
 
 def with_ground(path: Path, ids: Sequence[str], image: FloatArray, at: FloatArray,
