@@ -22,6 +22,7 @@ from termsel.data.coordinates import crs as crs_module
 from termsel.data.features import FeatureSet, FloatArray, Points
 from termsel.data.rpc import Rpc
 from termsel.formats.heights import open_dem, with_heights
+from termsel.formats.vertical import require_grid
 from termsel.io.project import project_table
 from tests.geoid_grid import EGM96, write_geoid
 
@@ -213,6 +214,14 @@ def test_control_above_a_geoid_is_converted_for_an_rpc(tmp_path: Path) -> None:
     errors = termsel.read_rpc(tmp_path / "refined.RPB").project(expected.points.ground) \
         - expected.points.image
     assert np.sqrt((errors**2).sum(axis=1).mean()) < 0.5
+
+
+def test_a_grid_that_cannot_be_fetched_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    """PROJ gives infinity for a grid that it may fetch from the network, and cannot."""
+    monkeypatch.setattr("pyproj.network.is_network_enabled", lambda: True)
+    with pytest.raises(TermselError, match="could not be fetched"):
+        require_grid(lambda ground: ground[:, 2] * np.nan, (14.7, 46.8), Path("dem.tif"))
+    require_grid(lambda ground: ground[:, 2] + 47.0, (14.7, 46.8), Path("dem.tif"))
 
 
 def test_without_the_grid_a_run_with_an_rpc_ends() -> None:

@@ -26,7 +26,8 @@ NORTH_UP = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 CONTROL = (4, 3, 0, 4)  # of each photo
 
 
-def flight(folder: Path, seed: int, noise: float = 0.7) -> Path:
+def flight(folder: Path, seed: int, noise: float = 0.7,
+           n_control: tuple[int, ...] = CONTROL) -> Path:
     """Write a block of four photos of one flight, the third without control; return its file."""
     rng = np.random.default_rng(seed)
     places = [np.array([550.0 * i, 0.0, HIGH]) + rng.normal(0, 15, 3) for i in range(4)]
@@ -51,7 +52,7 @@ def flight(folder: Path, seed: int, noise: float = 0.7) -> Path:
         image, inside = seen(i, ties)
         tie_rows += [f"T{k},I{i},{image[k, 0]:.3f},{image[k, 1]:.3f}" for k in inside]
         rows = ["id,role,line,sample,x,y,z"]
-        for role, ground, count in (("control", control, CONTROL[i]),
+        for role, ground, count in (("control", control, n_control[i]),
                                     ("independent", independent, 15)):
             image, inside = seen(i, ground)
             rows += [f"{role[0]}{k},{role},{image[k, 0]:.3f},{image[k, 1]:.3f},"
@@ -94,3 +95,17 @@ def test_the_accuracy_of_each_image_of_a_block_is_stated(tmp_path: Path) -> None
     assert stated.stdout.count("Predicted, not tested by independent check points") == 4
     listed = json.loads(invoke("accuracy", tmp_path / "out", "--json").stdout)
     assert [one["source"] for one in listed] == [f"image I{i} of a block" for i in range(4)]
+
+
+@pytest.mark.slow
+def test_photos_without_a_stated_model_are_found_to_be_photos(tmp_path: Path) -> None:
+    path = flight(tmp_path, 0, n_control=(9, 9, 9, 9))
+    path.write_text("\n".join(line for line in path.read_text().splitlines()
+                              if not line.startswith(("model", "options"))))
+    result = adjust(read_block(path))
+    assert any("4 images have no RPC and no model, and are taken for photos" in note
+               for note in result.block.notes)
+    for image in record_of(result).images:
+        assert image.independent is not None
+        # By polynomials it is a hundred times as large.
+        assert image.independent < 20.0

@@ -23,6 +23,7 @@ from termsel.formats.readers.tables import VOID_HEIGHTS
 from termsel.formats.vertical import (
     Heights,
     metres_of_band,
+    require_grid,
     said,
     to_datum_of,
     with_declared_datum,
@@ -272,6 +273,10 @@ def open_dem(path: Path, crs: str) -> Iterator[Dem]:
         raster_crs = with_declared_datum(raster, raster_crs, path)
         unit = metres_of_band(raster, raster_crs, path)
         to_datum = to_datum_of(crs, raster_crs, path)
+        if to_datum is not None:
+            bounds = raster.bounds
+            require_grid(to_datum, ((bounds.left + bounds.right) / 2,
+                                    (bounds.bottom + bounds.top) / 2), path)
         datum = said(raster_crs, to_datum is not None, crs)
         yield Dem(path, raster, to_raster, datum, turns=raster_crs.is_geographic, crs=crs,
                   unit=unit, to_datum=to_datum)

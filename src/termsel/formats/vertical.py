@@ -159,6 +159,24 @@ def to_datum_of(crs: str, raster_crs: CRS, path: Path) -> Heights | None:
     return heights
 
 
+def require_grid(to_datum: Heights, middle: tuple[float, float], path: Path) -> None:
+    """Raise TermselError where PROJ may fetch a grid of heights, and has no value of it.
+
+    `middle` is a place of the raster, x and y in its CRS. Without the network PROJ says by itself
+    what it lacks.
+    """
+    from pyproj.network import is_network_enabled
+
+    if is_network_enabled() and np.isnan(to_datum(np.array([[*middle, 0.0]]))).all():
+        raise TermselError(
+            "PROJ has no value to convert the heights of this raster in its middle: the grid of "
+            "the geoid could not be fetched (PROJ_NETWORK=ON), or is of another place", file=path,
+            hint="Get the grid where there is a network (without PROJ_NETWORK=ON termsel names "
+                 "it), and copy it to the folder that "
+                 "pyproj.datadir.get_user_data_dir() names; or give a raster of ellipsoidal "
+                 "heights.")
+
+
 def _heights_in_words(crs: str) -> str:
     """Return the surface that heights of ground coordinates refer to, in words."""
     reference = height_reference(crs)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -10,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from termsel import TermselError, open_dem
-from termsel.toolkit import one_blas_thread
+from termsel.toolkit import counted, one_blas_thread
 from termsel_block.block import Block, BlockImage
 from termsel_block.contradictions import (
     against_dem,
@@ -30,6 +31,17 @@ from termsel_block.geometry.control import OwnControl, in_use, own_control
 from termsel_block.geometry.frame import BoolArray, FloatArray, Frame, IntArray
 from termsel_block.geometry.heights import ControlHeights, Heights, Surface
 from termsel_block.geometry.physical import ABSURD, PhysicalModel
+
+log = logging.getLogger("termsel.block")
+
+PHOTO = "frame"
+"""Model of photos, of termsel-cameras."""
+
+_FAR_LESS = 0.5
+"""Misfit of photos by that of polynomials from which on images without a model are photos."""
+
+_CONTRADICTED = 3.0
+"""Misfit of control by that of ties, 1 px at least, from which on polynomials are not the model."""
 
 _EXTENT_TIES = 8
 """Ties of an image from which on their extent shows that of the image."""
@@ -140,7 +152,48 @@ def adjust(block: Block, *, progress: Callable[[float], None] | None = None) -> 
             sensor = sensor_of(result.block, worst)
             right.add(sensor)
             freed_blocks[sensor] = freed
-    return _with_note_on_dem(_without_worse(result, freed_blocks, progress))
+    return _with_note_on_dem(_or_photos(_without_worse(result, freed_blocks, progress), progress))
+
+
+def _or_photos(result: BlockResult, progress: Callable[[float], None] | None) -> BlockResult:
+    """Return the result, or that of photos where images of no stated model are some.
+
+    Polynomials are for images from space. Of photos they miss places by a hundred pixels where a
+    posterior, which takes the model for true, predicts some tens.
+    """
+    block = result.block
+    unstated = [image.name for image in block.images if image.rpc is None and image.model == "auto"]
+    if not unstated:
+        return result
+    images = tuple(replace(image, model=PHOTO) if image.name in unstated else image
+                   for image in block.images)
+    try:
+        photos = _adjust_as_stated(replace(block, images=images), result.frame, progress)
+    except TermselError as error:
+        # Too few points, no photos, or termsel-cameras is not installed.
+        log.debug("not adjusted as photos: %s", error)
+        photos = result
+    before = _misfit(result.adjusted)
+    after = _misfit(photos.adjusted)
+    is_one = len(unstated) == 1
+    have = f"{counted(len(unstated), 'image')} {'has' if is_one else 'have'} no RPC and no model"
+    if photos.adjusted.converged and after < _FAR_LESS * before:
+        note = (f"{have}, and {'is' if is_one else 'are'} taken for photos (model "
+                f"{PHOTO}): control and ties agree to {after:.2g} px, by polynomials to "
+                f"{before:.2g} px.")
+        return replace(photos, block=replace(photos.block, notes=(*block.notes, note)))
+    state = result.adjusted.state
+    if state.sigma_control > _CONTRADICTED * max(state.sigma_ties, 1.0):
+        note = (f"{have}: control is {state.sigma_control:.2g} px off their polynomials, where "
+                f"ties agree to {state.sigma_ties:.2g} px. The errors of places may be several times "
+                f"what is predicted. State the model, such as {PHOTO} for photos.")
+        return replace(result, block=replace(block, notes=(*block.notes, note)))
+    return result
+
+
+def _misfit(adjusted: Adjusted) -> float:
+    """Return how far control and ties are off a block [px]: the larger standard deviation."""
+    return max(adjusted.state.sigma_control, adjusted.state.sigma_ties)
 
 
 def _without_worse(result: BlockResult, freed_blocks: dict[str, BlockResult],
