@@ -185,8 +185,8 @@ def _or_photos(result: BlockResult, progress: Callable[[float], None] | None) ->
     state = result.adjusted.state
     if state.sigma_control > _CONTRADICTED * max(state.sigma_ties, 1.0):
         note = (f"{have}: control is {state.sigma_control:.2g} px off their polynomials, where "
-                f"ties agree to {state.sigma_ties:.2g} px. The errors of places may be several times "
-                f"what is predicted. State the model, such as {PHOTO} for photos.")
+                f"ties agree to {state.sigma_ties:.2g} px. The errors of places may be several "
+                f"times what is predicted. State the model, such as {PHOTO} for photos.")
         return replace(result, block=replace(block, notes=(*block.notes, note)))
     return result
 
