@@ -10,7 +10,11 @@ from scipy.spatial import ConvexHull
 
 import termsel
 from termsel.data.coordinates.places import beyond, hull
-from termsel.data.features import FeatureSet
+from termsel.data.features import FeatureSet, Points
+from termsel.data.scaling import scaling_of
+from termsel.fitting.extrapolation import uncertain_corners
+from termsel.fitting.least_squares import fit
+from termsel.models.polynomial import Polynomial2D
 from termsel.simulate import simulate_scene
 
 SQUARE = np.array([(0.0, 0.0), (0.0, 10.0), (10.0, 0.0), (10.0, 10.0), (5.0, 5.0)])
@@ -54,6 +58,21 @@ def test_control_in_one_corner_is_warned_of() -> None:
     found = termsel.run("rfm-terms", model="affine", solver="all-terms", features=corner)
     assert any("selection points and 3 of 4 corners of the image lie far outside" in note
                for note in found.notes)
+
+
+def test_corners_where_the_model_is_uncertain_are_said() -> None:
+    rng = np.random.default_rng(4)
+    xy = rng.uniform(300.0, 700.0, (24, 2))
+    points = Points(tuple(f"P{i}" for i in range(24)), xy[:, ::-1] + rng.normal(0.0, 0.5, (24, 2)),
+                    np.column_stack([xy * 0.5, np.zeros(24)]) + np.array([4e5, 5e6, 0.0]))
+    inner, whole = (FeatureSet(points, crs="EPSG:32633", image_size=size)
+                    for size in ((720, 720), (1000, 1000)))
+    [said] = uncertain_corners(fit(Polynomial2D(degree=3), whole, scaling_of(whole)), 0.8)
+    assert "px at the corners of the image" in said
+    assert "times the RMSE, which holds within the control" in said
+    # A model of few terms goes on as far as it was measured.
+    affine = fit(Polynomial2D(degree=1), inner, scaling_of(inner))
+    assert list(uncertain_corners(affine, 0.8)) == []
 
 
 @pytest.mark.slow

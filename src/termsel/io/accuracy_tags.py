@@ -101,6 +101,8 @@ def accuracy_tags(result: Result, heights: HeightCaution | None = None) -> dict[
             "TIFFTAG_DATETIME": f"{written_at:%Y:%m:%d %H:%M:%S}"}
     accuracy = result.accuracy
     expected = expected_of(result)
+    if far := next((note for note in result.notes if note.startswith("Extrapolation: ")), ""):
+        tags["ACCURACY_CAUTION"] = far
     if heights is not None:
         tags["ACCURACY_CAUTION"] = heights.sentence
         rmse = [] if expected is None else [expected.rmse]
@@ -139,7 +141,8 @@ def _predicted_tags(prediction: Prediction | None) -> dict[str, str]:
     tags = {"ACCURACY_PREDICTED_RMSE_PX": f"{prediction.rmse:.4g}",
             "ACCURACY_PREDICTED_RMSE_PX_INTERVAL":
                 f"{prediction.low:.4g} to {prediction.high:.4g} ({100 * prediction.level:g} %)",
-            "ACCURACY_PREDICTED_BY": f"{prediction.method}; not an independent test"}
+            "ACCURACY_PREDICTED_BY":
+                f"{prediction.method}; within the control; not an independent test"}
     if prediction.metres is not None:
         rmse, low, high = prediction.metres
         tags["ACCURACY_PREDICTED_RMSE_M"] = f"{rmse:.4g}"

@@ -26,7 +26,7 @@ from termsel.fitting.accuracy import (
     predicted_by,
     predicted_of_all,
 )
-from termsel.fitting.extrapolation import warnings_of
+from termsel.fitting.extrapolation import uncertain_corners, warnings_of
 from termsel.fitting.figures import Baseline, Rmses, finite_or_none, in_role
 from termsel.fitting.fit import Fit, Undetermined
 from termsel.models.base import SensorModel
@@ -184,6 +184,8 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
                             request.features.noise, held_out=own.get(method.name), among=len(own),
                             is_asked_for=auto.is_one_method)
 
+    is_judged = predicted is not None and not method.from_one and clean.lattice is None
+    corners = [*uncertain_corners(fitted, predicted.rmse)] if predicted and is_judged else []
     rpc_unused, rpc_correction = _notes_on_rpc(request, data, auto, choice.chosen)
     strategy = _strategy(choice, errors, predicted, data, clean, rpc_unused)
     interrupted = INTERRUPTED.format(min(watch.count, watch.methods), watch.methods) \
@@ -209,7 +211,7 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
                        blank=request.blank, clean=clean),
         *_notes(request.model, clean, errors, interrupted, plane=not fitted.model.uses_height,
                 determined=outcome.exact,
-                has_geometry=method.from_one),
+                has_geometry=method.from_one), *corners,
         *([] if lattice is None else [lattice.sentence(known=method.from_one)]),
         *left_out_for_height, *verdict.notes, *without_lines, *contradicting.notes, *auto.notes)
     # The objective of the record is what the rule of the choice compares.
