@@ -12,9 +12,9 @@ import termsel
 from termsel.data.coordinates.places import beyond, hull
 from termsel.data.features import FeatureSet, Points
 from termsel.data.scaling import scaling_of
-from termsel.fitting.extrapolation import uncertain_corners
 from termsel.fitting.least_squares import fit
 from termsel.models.polynomial import Polynomial2D
+from termsel.runs.data_notes import uncertain_corners
 from termsel.simulate import simulate_scene
 
 SQUARE = np.array([(0.0, 0.0), (0.0, 10.0), (10.0, 0.0), (10.0, 10.0), (5.0, 5.0)])

@@ -3,22 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from termsel.core.errors import counted, rounded
+from termsel.core.errors import counted
 from termsel.data.coordinates.places import beyond, centres
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points
 from termsel.data.fit_data import FitData, off_plane
 from termsel.data.scaling import Scaling
 from termsel.fitting.uncertainty import sees_heights
-
-if TYPE_CHECKING:
-    from termsel.fitting.fit import Fit
-
-_UNCERTAIN = 3.0
-"""Standard deviation of a model by its RMSE from which on the RMSE says too little of a corner."""
 
 FAR_OUTSIDE = 0.5
 """Distance from the hull of the control, by the hull's longer side, from which on a place counts
@@ -66,7 +59,7 @@ def warnings_of(control: FeatureSet, used: BoolArray, check: Points) -> Iterator
             n_outside += int(far.sum())
             groups.append(f"{far.sum()} of {counted(len(far), 'selection point')}")
     if control.image_size is not None:
-        far = beyond(control_centres, _corners(control.image_size)) > FAR_OUTSIDE
+        far = beyond(control_centres, corners_of(control.image_size)) > FAR_OUTSIDE
         if far.any():
             n_outside += int(far.sum())
             groups.append(f"{far.sum()} of 4 corners of the image")
@@ -85,29 +78,7 @@ def warnings_of(control: FeatureSet, used: BoolArray, check: Points) -> Iterator
                    "above or below the control.")
 
 
-def uncertain_corners(fitted: Fit, rmse: float) -> Iterator[str]:
-    """Yield a sentence if the model is far more uncertain at a corner of the image than its RMSE.
-
-    The RMSE [px] is that of places like the control's.
-    """
-    if fitted.control.image_size is None:
-        return
-    # At the middle height, as the height of the ground there is not known.
-    corners = _corners(fitted.control.image_size)
-    ground = fitted.locate(corners, float(fitted.ground_box()[0][2]))
-    ground = ground[np.isfinite(ground).all(axis=1)]
-    if not len(ground):
-        return
-    with np.errstate(all="ignore"):
-        sigma = np.hypot(*fitted.sigma(ground).T)
-    largest = float(np.max(sigma, initial=0.0, where=np.isfinite(sigma)))
-    if largest > _UNCERTAIN * rmse:
-        yield (f"Extrapolation: the standard deviation of the model is up to {rounded(largest)} px "
-               f"at the corners of the image, {largest / rmse:.0f} times the RMSE, which holds "
-               "within the control. Measure points near the corners, or see termsel sigma.")
-
-
-def _corners(image_size: tuple[int, int]) -> FloatArray:
+def corners_of(image_size: tuple[int, int]) -> FloatArray:
     """Return line and sample (4, 2) of the corners of an image."""
     last_line, last_sample = np.array(image_size) - 1.0
     return np.array([(0.0, 0.0), (0.0, last_sample), (last_line, 0.0), (last_line, last_sample)])

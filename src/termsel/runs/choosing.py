@@ -26,12 +26,12 @@ from termsel.fitting.accuracy import (
     predicted_by,
     predicted_of_all,
 )
-from termsel.fitting.extrapolation import uncertain_corners, warnings_of
+from termsel.fitting.extrapolation import warnings_of
 from termsel.fitting.figures import Baseline, Rmses, finite_or_none, in_role
 from termsel.fitting.fit import Fit, Undetermined
 from termsel.models.base import SensorModel
 from termsel.plugins.registry import registry
-from termsel.runs.data_notes import notes_on_data, notes_on_dem
+from termsel.runs.data_notes import notes_on_data, notes_on_dem, uncertain_corners
 from termsel.runs.exported_rpc import doubt_of_rpc
 from termsel.runs.finding import Finding, plugins_of
 from termsel.runs.judgement import best_conventional, judge_choice

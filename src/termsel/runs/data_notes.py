@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from termsel.core.errors import counted, first_of
+from termsel.core.errors import counted, first_of, rounded
 from termsel.data.coordinates.crs import EARTH, body_of, geodetic_of
 from termsel.data.coordinates.earth import note_on_turned
 from termsel.data.coordinates.longitudes import jumps
@@ -17,6 +17,7 @@ from termsel.data.coordinates.plausible import note_on_mixed
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points
 from termsel.data.fit_data import MEASURED, FitData, carriers, off_plane
 from termsel.data.roles import Observations, groups, twins
+from termsel.fitting.extrapolation import corners_of
 from termsel.fitting.fit import Fit
 from termsel.formats.heights import pixels_of
 from termsel.runs.request import note_on_blank
@@ -39,6 +40,7 @@ _REST = 0.25
 _APART = 6.0
 """Least distance of the groups [standard deviations within them]."""
 _GROUPING_ROUNDS = 50
+_UNCERTAIN = 3.0  # standard deviation by the RMSE from which on a corner is told
 _LARGEST_CONDITION = 1e6
 """Condition of the matrix from the ground to the image up to which it has an inverse."""
 _FARTHEST = 2000.0
@@ -239,6 +241,28 @@ def notes_on_data(read: FeatureSet, observations: Observations, heights: bool,
         yield from (_note_on_flat(observations.joint, independent) if fitted is None
                     else _note_on_flat(
             FitData.of(fitted, False), observations.check.join_unchecked(independent)))
+
+
+def uncertain_corners(fitted: Fit, rmse: float) -> Iterator[str]:
+    """Yield a sentence if the model is far more uncertain at a corner of the image than its RMSE.
+
+    The RMSE [px] is that of places like the control's.
+    """
+    if fitted.control.image_size is None:
+        return
+    # At the middle height, as the height of the ground there is not known.
+    corners = corners_of(fitted.control.image_size)
+    ground = fitted.locate(corners, float(fitted.ground_box()[0][2]))
+    ground = ground[np.isfinite(ground).all(axis=1)]
+    if not len(ground):
+        return
+    with np.errstate(all="ignore"):
+        sigma = np.hypot(*fitted.sigma(ground).T)
+    largest = float(np.max(sigma, initial=0.0, where=np.isfinite(sigma)))
+    if largest > _UNCERTAIN * rmse:
+        yield (f"Extrapolation: the standard deviation of the model is up to {rounded(largest)} px "
+               f"at the corners of the image, {largest / rmse:.0f} times the RMSE, which holds "
+               "within the control. Measure points near the corners, or see termsel sigma.")
 
 
 def notes_on_dem(features: FeatureSet, fitted: Fit) -> Iterator[str]:
