@@ -95,7 +95,7 @@ def test_map_is_cloud_optimised_and_empty_around(chain: ModuleType, folder: Path
     assert not shown[:, -1].any()
     assert (pixels[~shown] == 0).all()
     assert shown.mean() > 0.5
-    assert sorted(path.name for path in folder.glob("map*")) == ["map.tif"]
+    assert sorted(path.name for path in folder.glob("map.*")) == ["map.tif"]
 
 
 def test_rectify_says_what_the_map_is_and_what_is_missing(

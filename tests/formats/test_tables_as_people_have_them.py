@@ -250,7 +250,7 @@ HOSTILE: dict[str, tuple[bytes, str]] = {
     "NaN": (changed(3, 4, "NaN"), "line 4, column 'Row': 'NaN' is not a finite number"),
     "no answer": (changed(3, 3, "n/a"), "line 4, column 'Height': 'n/a' is not a number"),
     "an open quote": (changed(3, 0, '"P3'), "line 4: the row that begins here cannot be read"),
-    "a foot": (CLEAN + b"Source: survey\n", "line 16: the row has 1 cells"),
+    "a foot": (CLEAN + b"Source: survey\n", "line 16: the row ends after 1 of 6 cells"),
     "a sum": (CLEAN + b"Sum,,,,1,2\n", "line 16, column 'Lon': the cell is blank"),
     "two signs": (changed(3, 3, "10.5").replace(b",", b";").replace(b"10.5", b"10,5"),
                   "line 4, column 'Height': '10,5' has a decimal comma"),

@@ -71,9 +71,11 @@ def test_a_study_file_gives_a_row_a_cell(call: Call, tmp_path: Path) -> None:
     assert "What may be claimed" in page
     assert r"\toprule" in (tmp_path / "out" / "summary.tex").read_text()
     # The page is not replaced unless that is asked for.
-    refused = call("report", tmp_path / "out")
-    assert refused.exit_code == 2
-    assert "already exists" in refused.stderr
+    written = (tmp_path / "out" / "report.html").read_bytes()
+    again = call("report", tmp_path / "out")
+    assert again.exit_code == 0
+    assert "There is a page already" in again.stdout
+    assert (tmp_path / "out" / "report.html").read_bytes() == written
 
 
 def test_a_cell_is_what_a_run_gives(tmp_path: Path) -> None:

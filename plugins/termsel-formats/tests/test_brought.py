@@ -176,7 +176,7 @@ def test_the_image_that_is_given_is_the_one_of_a_list(tmp_path: Path) -> None:
 def test_a_list_of_several_images_asks_which(tmp_path: Path) -> None:
     path = tmp_path / "gcp_list.txt"
     path.write_text(odm(images=("DJI_1.JPG", "DJI_2.JPG")))
-    with pytest.raises(TermselError, match=r"images DJI_1\.JPG, DJI_2\.JPG.*termsel compare"):
+    with pytest.raises(TermselError, match=r"images DJI_1\.JPG \(4\), DJI_2\.JPG.*termsel compare"):
         termsel.read(path)
     same(termsel.read(path, image_name="DJI_2.JPG"), "EPSG:32633")
     assert list(OdmGcpList().parts(path)) == ["DJI_1.JPG", "DJI_2.JPG"]
@@ -323,7 +323,7 @@ def test_images_of_each_format_are_parts_of_a_study(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("a.jpg,P1,1,2\na.jpg,P2,3,4\nb.jpg,P1,5,6\n")
     (tmp_path / "a_gcps.csv").write_text("P1,1,2,3\nP2,4,5,6\n")
     assert list(Pix4dMarks().parts(tmp_path / "a.csv")) == ["a.jpg", "b.jpg"]
-    with pytest.raises(TermselError, match=r"a\.jpg, b\.jpg.*termsel compare --points FILE"):
+    with pytest.raises(TermselError, match=r"a\.jpg \(2\), b\.jpg.*termsel compare --points FILE"):
         termsel.read(tmp_path / "a.csv", crs="local")
 
 

@@ -70,7 +70,7 @@ def test_bad_sizes_and_folders_are_refused(place: Any, says: Any, tmp_path: Path
     (("auto-georeference", "image.tif", "--reference", "ortho.tif", "--dem", "dem.tif"),
      "ortho.tif"),
     (("auto-georeference", "image.tif", "--reference", "ortho.tif", "--dem", "dem.tif",
-      "--vectors", "roads.gpkg"), "roads.gpkg"),
+      "--vectors", "roads.gpkg"), "image.tif"),
 ])
 def test_no_command_replaces_what_it_reads(place: Any, says: Any, command: tuple[str, ...],
                                            output: str) -> None:

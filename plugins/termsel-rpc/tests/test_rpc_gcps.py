@@ -186,7 +186,7 @@ def test_terms_of_a_refinement_are_selected() -> None:
 @pytest.mark.parametrize(("arguments", "said"), [
     (["--model", "rpc-affine"], "'rpc-affine' requires the RPC to refine"),
     (["--set", "rpc=no-such-file.RPB"], "this file does not exist"),
-    (["--dataset", "spot-isfahan"], "covers longitude"),
+    (["--dataset", "spot-isfahan"], "is of another place (34.8 N, 48.5 E) than the control"),
     (["--model", "pushbroom-refine"], "requires the geometry to refine"),
     (["--set", "min_features=9"], "option 'min_features' is 9, more than 'max_features', 6"),
 ])

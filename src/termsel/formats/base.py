@@ -398,7 +398,7 @@ def _unreadable(path: Path, error: OSError) -> TermselError:
     """Return the error for a file that does not exist or cannot be read."""
     if isinstance(error, FileNotFoundError):
         return no_such_file(path)
-    if path.is_dir():
+    if is_there(path) and path.is_dir():
         return TermselError("this is a folder, expected a file", file=path,
                             hint="Give a file in it.")
     return TermselError(f"cannot read this file: {error.strerror or error}", file=path,

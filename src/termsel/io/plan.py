@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from termsel.core.errors import TermselError, counted, first_of
-from termsel.data.features import BoolArray, FloatArray
+from termsel.data.features import FloatArray
 from termsel.fitting.fit import Fit
 from termsel.fitting.next_places import rank_places
 from termsel.fitting.scene import scene_grid
@@ -92,7 +92,7 @@ def plan(result: Result, count: int, candidates: Path | None = None) -> Plan:
         raise TermselError("the image shows none of the positions", file=candidates,
                            hint="Give positions in the CRS of the control, inside the scene.")
     if candidates is not None and not is_seen.all():
-        _say_unseen(ids, is_seen)
+        _say_unseen([ids[number] for number in np.flatnonzero(~is_seen)])
     # Places that the image does not show cannot be measured.
     numbers = np.flatnonzero(is_seen)
     # The scene itself where all of it is seen, so that its figures are computed once.
@@ -109,9 +109,8 @@ def plan(result: Result, count: int, candidates: Path | None = None) -> Plan:
         float(np.hypot(ranking.sigma_before, shared)), fitted.control.crs)
 
 
-def _say_unseen(ids: tuple[str, ...], is_seen: BoolArray) -> None:
+def _say_unseen(unseen: list[str]) -> None:
     """Say which candidates the image does not show."""
-    unseen = [name for name, seen in zip(ids, is_seen, strict=True) if not seen]
     log.warning("Note: %s left out, as the image does not show %s: %s.",
                 counted(len(unseen), "candidate"), "it" if len(unseen) == 1 else "them",
                 first_of(unseen))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
@@ -94,8 +95,8 @@ def table_of_places(path: Path, aliases: Aliases, stated: Mapping[str, str], *,
     >>> table_of_places(Path("gcps.csv"), {"x": ("x",)}, {}) is None
     True
     """
-    # An empty file is left to the reader of tables.
-    has_content = path.is_file() and path.stat().st_size > 0
+    # An empty file is left to the reader of tables, and a name that is too long to be one.
+    has_content = os.path.isfile(path) and path.stat().st_size > 0
     head = read_head(path, "Give points as a table or a vector file.") if has_content else b""
     if is_vector(head):
         features, crs = read_layer(path, None, POINT_KINDS)
