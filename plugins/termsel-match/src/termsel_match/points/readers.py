@@ -140,7 +140,7 @@ def in_image(positions: FloatArray, image: str, names: Sequence[str]) -> BoolArr
     with open_picture(image) as picture:
         last = np.array(picture.size) - 0.5
     inside = np.asarray(((positions >= -0.5) & (positions <= last)).all(axis=1))
-    outside = [names[i] for i in np.flatnonzero(~inside)]
+    outside = [name for name, is_inside in zip(names, inside, strict=True) if not is_inside]
     if not outside or len(outside) > _MOST_OUTSIDE * len(positions):
         return everywhere
     more = len(outside) - _MOST_NAMED
