@@ -171,6 +171,8 @@ def test_the_simulated_map_has_the_parts_it_is_made_of() -> None:
     assert not np.array_equal(simulate_map(seed=1).points.image, simulate_map().points.image)
     with pytest.raises(termsel.TermselError, match="noise = -1"):
         simulate_map(noise=-1.0)
+    with pytest.raises(termsel.TermselError, match=r"sheets = \(0, 2\)"):
+        simulate_map(sheets=(0, 2))
 
 
 def test_a_blunder_smaller_than_the_error_of_any_polynomial_is_found() -> None:

@@ -90,7 +90,7 @@ def simulate_map(
     Raises
     ------
     TermselError
-        For a negative number.
+        For a number that is negative or infinite, or without a sheet.
 
     Examples
     --------
@@ -100,20 +100,24 @@ def simulate_map(
     (90, (6000, 8000))
     """
     numbers = {"seed": seed or 0, "n_points": n_points, "joints": joints, "local": local,
-               "shrinkage": shrinkage, "noise": noise, "sheets": min(sheets) - 1}
+               "shrinkage": shrinkage, "noise": noise}
     for name, value in numbers.items():
         if not 0 <= value < float("inf"):
             raise TermselError(f"a map with {name} = {value} cannot be simulated",
-                               hint="Give numbers of at least 0, and at least one sheet.")
+                               hint="Give a number of at least 0.")
+    if min(sheets) < 1:
+        raise TermselError(f"a map with sheets = {sheets} cannot be simulated",
+                           hint="Give at least one sheet along lines and along samples.")
     # A generator for each part, so that without one of them the others stay the same.
-    of_paper, of_sheets, of_field, of_places, of_noise = np.random.default_rng(
+    paper_rng, sheet_rng, field_rng, position_rng, noise_rng = np.random.default_rng(
         [1900, seed or 0]).spawn(5)
-    positions = _spread(of_places, n_points)
+    positions = _spread(position_rng, n_points)
     extent = np.array(SIZE) - 1.0
     # Distorted as drawn, then by the sheets, then by the paper, then measured.
-    image = positions + _field(of_field, local, positions)
-    image += _shift_by_sheet(of_sheets, sheets, joints, positions)
-    image = _shrink(of_paper, shrinkage, image) + noise * of_noise.standard_normal(positions.shape)
+    image = positions + _field(field_rng, local, positions)
+    image += _shift_by_sheet(sheet_rng, sheets, joints, positions)
+    image = _shrink(paper_rng, shrinkage, image)
+    image += noise * noise_rng.standard_normal(positions.shape)
     # Processors differ in the last bits.
     image = image.round(DIGITS)
     # Lines count downwards from the upper edge, northings upwards.
