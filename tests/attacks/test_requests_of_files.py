@@ -102,7 +102,7 @@ def test_an_index_of_tiles(folder: Path, server) -> None:
                                                   object),
                           [np.array([f"/vsicurl/{server.url}/x.tif"], object)], ["location"],
                           geometry_type="Polygon", crs="EPSG:4326", driver="GPKG", layer="tiles")
-        with pytest.raises(TermselError, match="GPKG"):
+        with pytest.raises(TermselError, match="GeoPackage"):
             read(folder / name)
     (folder / "dem.gti").write_text("<GDALTileIndexDataset><IndexDataset>dem.gpkg</IndexDataset>"
                                     "</GDALTileIndexDataset>")

@@ -70,7 +70,7 @@ class WhileWriting(Told):
     """Cancels as soon as the map has begun."""
 
     def isCanceled(self):
-        return any((folder / "cancelled").iterdir())
+        return any((folder / "one map").iterdir())
 
 
 def run(name, feedback=None, **parameters):
@@ -273,12 +273,12 @@ def wrong():
         child.run([stubborn], Told(cancel_after=0.5), sys.executable)
     except QgsProcessingException as error:
         told["stubborn"] = {"error": str(error), "seconds": time.monotonic() - begin - 0.5}
-    (folder / "cancelled").mkdir()
+    (folder / "one map").mkdir()
     told["stopped"] = run("rectify", WhileWriting(), RESULT=str(folder / "of model"), RES=0.5,
                           IMAGE=str(folder / "scene.tif"), HEIGHT=1800.0,
-                          OUTPUT=str(folder / "cancelled" / "m.tif"))
+                          OUTPUT=str(folder / "one map" / "m.tif"))
     told["left"] = [path.name for path in folder.glob(".termsel*")]
-    told["left in maps"] = [path.name for path in (folder / "cancelled").iterdir()]
+    told["left in maps"] = [path.name for path in (folder / "one map").iterdir()]
 
 
 def dock():
