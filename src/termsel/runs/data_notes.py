@@ -13,6 +13,7 @@ from termsel.data.coordinates.crs import EARTH, body_of, geodetic_of
 from termsel.data.coordinates.earth import note_on_turned
 from termsel.data.coordinates.longitudes import jumps
 from termsel.data.coordinates.metres import height_unit, in_metres, is_in_degrees, plan_of
+from termsel.data.coordinates.places import beyond, centres
 from termsel.data.coordinates.plausible import note_on_mixed
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points
 from termsel.data.fit_data import MEASURED, FitData, carriers, off_plane
@@ -41,6 +42,8 @@ _APART = 6.0
 """Least distance of the groups [standard deviations within them]."""
 _GROUPING_ROUNDS = 50
 _UNCERTAIN = 3.0  # standard deviation by the RMSE from which on a corner is told
+_NEXT_TO_HULL = 0.05
+"""Distance from the hull of the control, by its longer side, that is no extrapolation yet."""
 _LARGEST_CONDITION = 1e6
 """Condition of the matrix from the ground to the image up to which it has an inverse."""
 _FARTHEST = 2000.0
@@ -250,8 +253,12 @@ def uncertain_corners(fitted: Fit, rmse: float) -> Iterator[str]:
     """
     if fitted.control.image_size is None:
         return
-    # At the middle height, as the height of the ground there is not known.
     corners = corners_of(fitted.control.image_size)
+    # A model is as certain next to the hull of its control as at the hull.
+    corners = corners[beyond(centres(fitted.control), corners) > _NEXT_TO_HULL]
+    if not len(corners):
+        return
+    # At the middle height, as the height of the ground there is not known.
     ground = fitted.locate(corners, float(fitted.ground_box()[0][2]))
     ground = ground[np.isfinite(ground).all(axis=1)]
     if not len(ground):
