@@ -267,8 +267,10 @@ def test_a_whole_session_by_clicks(browser: Any, example: Path) -> None:
     places = corners(example, 12)
     for number, (image, ground) in enumerate(places, 1):
         wrong = number == 12
-        if number == 4:
-            screen.answered()  # there is a model from now on
+        if number > 3:
+            # There is a model from now on. One that arrives while the map is on its way to where
+            # the last one predicts the point moves that place, and not the map.
+            screen.answered()
         screen.click("image", image)
         screen.count(number)
         if number > 3:
