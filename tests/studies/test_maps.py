@@ -107,13 +107,18 @@ def test_maps_of_a_batch_are_written_with_a_table(call: Call, sheets: Path, tmp_
 @pytest.mark.parametrize(("options", "message"), [
     (["scans/sheet_3.png", "--output", "maps"], "this is not a folder of images"),
     (["scans", "--output", "scans"], "maps would have the names of the images"),
-    (["scans", "--output", "maps", "--sigma", "s.tif"], "--sigma is for one image")])
+    (["scans", "--output", "maps", "--sigma", "s.tif"], "--sigma is for one image"),
+    # What would fail for each image is said once, also before a dry run.
+    (["scans", "--output", "maps", "--crs", "EPSG:99999", "--dry-run"], "EPSG:99999"),
+    (["scans", "--output", "maps", "--resampling", "cubik"], "Did you mean 'cubic'?"),
+    (["scans", "--output", "maps", "--dem", "nowhere.tif"], "this file does not exist")])
 def test_what_a_batch_cannot_do_is_refused(call: Call, sheets: Path, options: list[str],
                                            message: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(sheets)
     done = call("rectify", "batch", *options)
     assert done.exit_code == 2
     assert message in done.stderr
+    assert not Path("maps").exists()
     one = call("rectify", "batch/images/sheet_1", "scans/Sheet_1.tif", "-o", "a.tif", "--dry-run")
     assert "--dry-run is for a batch" in one.stderr
 

@@ -170,6 +170,19 @@ def test_a_dem_is_held_against_the_control_of_the_start(
     assert bool(said) == ("geoid and ellipsoid?" in caplog.text)
 
 
+def test_a_reference_says_what_its_pixels_are(file: Any, tmp_path: Path) -> None:
+    with rasterio.open(tmp_path / "wide.tif", "w", driver="GTiff", width=400_000, height=4, count=1,
+                       dtype="uint8", crs="EPSG:32632",
+                       transform=rasterio.transform.from_origin(6e5, 5e6, 1.0, 1.0)):
+        pass
+    header = "x0,y0,x1,y1,confidence\n20.5,10.25,"
+    wide = str(tmp_path / "wide.tif")
+    features = read(file(f"{header}300000.0,2.0,0.9\n"), reference=wide)
+    assert features.points.ground[0, 0] == pytest.approx(6e5 + 300000.5)
+    with pytest.raises(TermselError, match=r"beyond the reference wide\.tif"):
+        read(file(f"{header}616287.6,5179799.8,0.9\n"), reference=wide)
+
+
 def test_second_places_on_the_ground_are_read_as_points(file: Any) -> None:
     path = file("x0,y0,x1,y1,confidence\n20.5,10.25,616287.6,5179799.8,0.9\n")
     with pytest.raises(TermselError, match="x1 and y1 are beyond any image") as error:

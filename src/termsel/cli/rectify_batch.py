@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 from termsel.cli.bars import share_bar
 from termsel.cli.messages import echo, say_written
 from termsel.cli.tables import print_table
-from termsel.core.errors import TermselError
+from termsel.core.errors import TermselError, unknown_name
 from termsel.core.files.atomic import make_folder, write_text
+from termsel.core.files.names import is_there, no_such_file
 
 if TYPE_CHECKING:
     from termsel.results.result import Result
@@ -40,6 +41,7 @@ def rectify_batch(folder: Path, pictures: Path, out: Path, *, doubtful: bool, dr
     )
 
     require_rasterio()
+    _require_options(options)
     maps = plan_maps(folder, pictures, out, with_doubtful=doubtful,
                      overwrite=options["overwrite"])
     if options["dem"] is None and options["height"] is None and (
@@ -57,6 +59,21 @@ def rectify_batch(folder: Path, pictures: Path, out: Path, *, doubtful: bool, dr
         say_written([out / TABLE])
     if any(item.state == FAILED for item in maps):
         sys.exit(_FAILED)
+
+
+def _require_options(options: Mapping[str, Any]) -> None:
+    """Raise TermselError for an option with which the map of every image would fail."""
+    from termsel.data.coordinates.crs import normalise
+    from termsel.io.map_pixels import RESAMPLING
+
+    if options["crs"] is not None:
+        normalise(options["crs"])
+    resampling = options["resampling"]
+    if resampling is not None and resampling not in RESAMPLING:
+        raise unknown_name("resampling", resampling, RESAMPLING)
+    dem = options["dem"]
+    if dem is not None and not is_there(dem):
+        raise no_such_file(dem)
 
 
 def _write(maps: list[ImageMap], quiet: bool, options: Mapping[str, Any]) -> list[ImageMap]:
@@ -98,8 +115,9 @@ def _show(maps: list[ImageMap]) -> None:
     rows = [(item.image, item.verdict or "-", item.state,
              str(item.output) if item.state in with_map else "") for item in maps]
     print_table(("image", "verdict", "state", "map"), rows)
-    reasons = [f"{item.image}: {item.why}" for item in maps
-               if item.state in (OUTDATED, LEFT_OUT, FAILED)]
+    # A message on a file of points begins with its name.
+    reasons = [item.why if item.why.startswith(item.image) else f"{item.image}: {item.why}"
+               for item in maps if item.state in (OUTDATED, LEFT_OUT, FAILED)]
     for reason in reasons[:_MOST_REASONS]:
         echo(reason)
     if len(reasons) > _MOST_REASONS:

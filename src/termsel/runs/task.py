@@ -406,16 +406,17 @@ def with_shares(request: Request, *, auto: bool = False) -> Request:
     points_are_control = request.recipe.control == "points" \
         or request.options["problem"].get("mixed")
     has_few = len(roles) < MIN_POINTS_TO_DIVIDE and not {"control", "check"} & set(roles)
-    # A search that judges by selection points needs a third for these, a third for the verdict.
-    shares = EQUAL_SHARES
-    if request.criterion.needs_check or not points_are_control or of_data["roles"] != FILE:
-        pass
+    can_hold_out = points_are_control and of_data["roles"] == FILE \
+        and not request.criterion.needs_check
+    if not can_hold_out:
+        # A search that judges by selection points needs a third for these, a third for the verdict.
+        shares = EQUAL_SHARES
     elif auto and lattice_of(request.features.points) is not None:
         shares = ALL_CONTROL  # whole lines and columns of a lattice are held out
     elif auto:
         shares = SPARED if len(roles) >= MANY and "independent" not in roles else ALL_CONTROL
-    elif has_few and request.recipe.control == "points":
-        shares = ALL_CONTROL
+    else:
+        shares = ALL_CONTROL if has_few and request.recipe.control == "points" else EQUAL_SHARES
     return replace(request, options={**request.options, "data": {**of_data, "fractions": shares}})
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -160,11 +161,9 @@ def prediction_of(result: Result, features: FeatureSet, places: Places) -> Predi
         plane = places.to_map(used.ground)
         ground = np.column_stack([plane, np.full(len(used), np.nan)])
         flat = termsel.Points(used.ids, used.image, ground)
-        try:
+        # A mirrored image is no similarity of the map: the result's own model has to do then.
+        with suppress(TermselError):
             similarity = termsel.fit(replace(features, points=flat, crs="local", rpc=None),
                                      "helmert2d")
             return Prediction(similarity, places, in_map=True)
-        except TermselError:
-            # A mirrored image is no similarity of the map: the result's own model has to do.
-            pass
     return Prediction(result, places)

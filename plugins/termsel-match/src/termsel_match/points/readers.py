@@ -114,17 +114,28 @@ class MatchesCsv(Reader):
         line_name, sample_name, y, x = names
         columns = ("--format points-csv --columns "
                    f"sample={sample_name},line={line_name},x={x},y={y}")
-        if len(rows) and np.abs(positions[:, 2:]).max() > NO_PIXEL:
-            raise TermselError(f"{x} and {y} are beyond any image, and look like map coordinates",
+        reference = self.options["reference"]
+        if len(rows) and _are_beyond(positions[:, 2:], reference):
+            beyond = f"the reference {Path(reference).name}" if reference else "any image"
+            raise TermselError(f"{x} and {y} are beyond {beyond}, and look like map coordinates",
                                file=path, hint=f"If they are, declare the columns: {columns}.")
-        if not self.options["reference"]:
+        if not reference:
             raise TermselError(NEEDS_REFERENCE, file=path, hint=(
                 "Give it with --set reference=ORTHO.tif. If the second places are on the ground, "
                 f"declare the columns: {columns}."))
         inside = in_image(positions[:, :2], self.options["raster"], lines)
         return with_ground(path, [ids[i] for i in np.flatnonzero(inside)], positions[inside, :2],
-                           positions[inside, 2:], self.options["reference"],
+                           positions[inside, 2:], reference,
                            np.repeat(sigma, 2).reshape(-1, 2)[inside] if sigma else None)
+
+
+def _are_beyond(at: FloatArray, reference: str) -> bool:
+    """Return whether most second places (n, 2) are no pixels: of a reference, or of any image."""
+    if not reference:
+        return bool(np.abs(at).max() > NO_PIXEL)
+    with open_picture(reference) as picture:
+        last = np.array(picture.size) - 0.5
+    return bool(((at < -0.5) | (at > last)).any(axis=1).mean() > 0.5)
 
 
 def in_image(positions: FloatArray, image: str, names: Sequence[str]) -> BoolArray:
