@@ -45,6 +45,12 @@ def test_an_arrow_of_a_drawing_points_from_computed_to_measured() -> None:
     assert right > 50 * abs(down)
 
 
+def test_rounding_has_no_arrows_and_no_scale() -> None:
+    result = termsel.run(features=scene(3, 0.0))
+    assert 0.0 < max(row.distance for row in result.residuals) < 1e-9
+    assert "px</text>" not in small_map(result.view)
+
+
 @pytest.mark.slow
 def test_the_page_of_two_hundred_images_is_small() -> None:
     many = small_map(termsel.run("poly-terms", solver="all-terms", features=scene(1000, 1.0),

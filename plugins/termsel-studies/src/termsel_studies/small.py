@@ -16,6 +16,9 @@ WIDE = 120
 MAX_ARROWS = 150
 """Arrows drawn, the longest: more are not distinguished at this size."""
 _LENGTH, _ARROW_HEAD, _BELOW = 0.12, 3.0, 16
+_ROUNDING = 1e-9
+"""Residual by the size of the image below which it is rounding, as where a model has as many terms
+as there are coordinates."""
 
 
 def small_map(view: View) -> str:
@@ -33,7 +36,8 @@ def small_map(view: View) -> str:
     lengths = [row["distance"] for row in rows]
     median = float(np.median(lengths)) if lengths else 0.0
     # The median residual has a length that can be seen; a scale of its own for each image.
-    longer = _LENGTH * WIDE / median if median > 0 else 0.0
+    is_drawn = median > _ROUNDING * max(across, down)
+    longer = _LENGTH * WIDE / median if is_drawn else 0.0
     arrows: dict[str, list[str]] = {role: [] for role in ROLE_COLOURS}
     rings = []
     for row in rows[:MAX_ARROWS]:
