@@ -106,8 +106,7 @@ KINDS = {kind.name: kind for kind in (
     ChartKind(
         "convergence", "Convergence of the search",
         "The best value should be level at the end. If it still falls, give the search more "
-        "evaluations. The grey area is the share of selections that break a condition (on the "
-        "right).",
+        "evaluations. Grey is the share of selections that break a condition.",
         search.convergence,
         lambda view: "" if len(view.record.history) > 1 else
         "it has no history of a search", remark=search.refinement_remark),
