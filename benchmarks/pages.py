@@ -26,8 +26,13 @@ PAGES: dict[str, tuple[str, ...]] = {
     "overfitting": ("overfitting",),
     "regret": ("regret",),
     "coordinates": ("coordinates",),
+    "paper-valadan-zoej": ("paper_tables", "valadan-zoej"),
+    "paper-zakaryaie": ("paper_tables", "zakaryaie"),
+    "paper-akhoundi": ("paper_tables", "akhoundi"),
+    "paper-yavari": ("paper_tables", "yavari"),
     "paper-konugurthi": ("paper_tables", "konugurthi"),
     "control-features": ("control_features",),
+    "solver-table": ("solver_table", "--out", "build/evidence/solver-table-{commit}"),
     "benchmark": ("open_benchmark",),
     "measured": ("measured_benchmark", "--kept", KEPT),
     "short-budgets": ("short_budgets", "--kept", KEPT),
@@ -44,6 +49,8 @@ PAGES: dict[str, tuple[str, ...]] = {
     "blocks": ("blocks",),
     "hyperspectral": ("hyperspectral",),
     "sentinel-1": ("sentinel", "--whole", "0.2"),
+    "matching": ("matching", "--large"),
+    "verdicts": ("verdicts", "--jobs", "2", "--kept", KEPT),
     "scanners": ("scanners", "--processes", "2", "--images", "24", "--splits", "6"),
     "uncertainty": ("uncertainty", "--processes", "2", "--kept", KEPT),
     "coverage": ("coverage", "--processes", "2", "--kept", KEPT),
@@ -52,6 +59,10 @@ PAGES: dict[str, tuple[str, ...]] = {
     "honest-accuracy": ("honest", "accuracy", "--minutes", "45"),
 }
 """Script and arguments of each page, the shortest first; each gets ``--write`` as well."""
+
+BY_HAND = ("clients", "paper-tables", "index")
+"""Pages that this command does not make: `benchmarks.clients` needs GDAL, OTB, Orthority and QGIS,
+without which its page would lose its rows; the others sum up what the pages say."""
 STATE = ROOT / "docs" / "evidence" / "made-by.json"
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.kept import resumed
-from benchmarks.pages import PAGES, make
+from benchmarks.pages import BY_HAND, PAGES, make
 from benchmarks.sets import ROOT
 
 
@@ -56,3 +56,8 @@ def test_cases_that_are_kept_are_not_made_again(tmp_path: Path) -> None:
 def test_each_page_has_its_script(page: str) -> None:
     assert (ROOT / "docs" / "evidence" / f"{page}.md").is_file()
     assert (ROOT / "benchmarks" / f"{PAGES[page][0]}.py").is_file()
+
+
+def test_every_page_is_made_or_said_to_be_made_by_hand() -> None:
+    pages = [page.stem for page in (ROOT / "docs" / "evidence").glob("*.md")]
+    assert sorted(pages) == sorted([*PAGES, *BY_HAND])
