@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sqlite3
 import subprocess
 import sys
@@ -361,5 +362,5 @@ def test_vector_formats(driver: str, ending: str, folder: Path) -> None:
 
 def test_workers_of_a_study_have_no_other_drivers() -> None:
     with ProcessPoolExecutor(1, get_context("spawn"), initializer=begin_worker,
-                             initargs=({},)) as workers:
+                             initargs=({}, dict(os.environ))) as workers:
         assert workers.submit(drivers_are_off).result()

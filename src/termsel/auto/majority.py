@@ -22,15 +22,16 @@ it: where the image bends, the errors of neighbours are alike and those of all v
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from statistics import NormalDist
 
 import numpy as np
-from scipy.special import ndtr, stdtrit
 
 from termsel.adjustment.equations import weights_of
 from termsel.auto.contradictions import Division, Test, polynomial_of
 from termsel.data.features import BoolArray, FloatArray, IntArray, Points
 from termsel.data.fit_data import FitData
 from termsel.data.monomials import monomials
+from termsel.data.record.chances import t_quantile
 
 MIN_POINTS = 40
 """Points below which no half decides which of all are wrong: it may agree by chance."""
@@ -327,7 +328,7 @@ def _noise_and_strains(design: FloatArray, image: FloatArray, used: BoolArray) -
     triangle = np.linalg.qr(design[used])[1]
     leverage = (np.linalg.solve(triangle.T, design.T) ** 2).sum(axis=0)
     variance = np.where(used, 1.0 - leverage, 1.0 + leverage).clip(1e-6)
-    limit = -float(stdtrit(freedom, ndtr(-AGREEING_STRAIN)))
+    limit = t_quantile(NormalDist().cdf(AGREEING_STRAIN), freedom)
     return noise, errors / (limit * np.maximum(noise, 1e-12) * np.sqrt(variance))
 
 

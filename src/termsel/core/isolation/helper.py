@@ -6,8 +6,10 @@ import os
 import pickle
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from multiprocessing import get_context
+from multiprocessing.context import BaseContext
 from threading import Lock, Timer
 from typing import Any
 
@@ -65,6 +67,21 @@ def safe_start() -> Iterator[None]:
             del os.environ[SAFE_PATH]
         else:
             os.environ[SAFE_PATH] = variable_before
+
+
+def context_of_workers(modules: Sequence[str]) -> BaseContext:
+    """Return how the processes of a pool start: of their own, with modules imported.
+
+    This process is not forked: its threads, those of numba and BLAS among them, would not survive.
+    On Linux a process without any imports the modules once and is forked for each worker, which
+    saves most of what a worker takes to start. Elsewhere each imports for itself.
+    """
+    if sys.platform != "linux":
+        return get_context("spawn")
+    context = get_context("forkserver")
+    # Of no effect on a server that is running, as that of an earlier pool.
+    context.set_forkserver_preload(list(modules))
+    return context
 
 
 class ProcessEndedError(Exception):

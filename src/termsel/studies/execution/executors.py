@@ -11,11 +11,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from multiprocessing import get_context, parent_process
+from multiprocessing import parent_process
 from types import FrameType
 
 from termsel.core.files.drivers import claim_process
-from termsel.core.isolation.helper import safe_start
+from termsel.core.isolation.helper import context_of_workers, safe_start
 from termsel.data.features import FeatureSet
 from termsel.studies.cells.cell import Cell
 from termsel.studies.execution.work import Outcome, do, failed
@@ -89,10 +89,11 @@ def _run_in_pool(waiting: deque[Cell], features: Mapping[str, FeatureSet], stop:
                  suspects: list[Cell]) -> Iterator[Outcome]:
     """Yield outcomes until all are done or a process dies; say which cells were under way then."""
     running: dict[Future[Outcome], Cell] = {}
-    # No fork: threads of numba and BLAS do not survive it.
     with safe_start():  # its locks have a process of their own
-        executor = ProcessPoolExecutor(workers, get_context("spawn"), initializer=begin_worker,
-                                       initargs=(dict(features),))
+        # The environment may have changed since the process that workers are forked from began.
+        executor = ProcessPoolExecutor(workers, context_of_workers(_MODULES),
+                                       initializer=begin_worker,
+                                       initargs=(dict(features), dict(os.environ)))
     with executor as pool:
         try:
             while running or (waiting and not stop()):
@@ -109,13 +110,19 @@ def _run_in_pool(waiting: deque[Cell], features: Mapping[str, FeatureSet], stop:
             suspects += running.values()
 
 
+_MODULES = (__name__, "termsel.adjustment.dispatchers", "scipy.linalg")
+"""What every worker needs: termsel, numba, and what fits import of scipy."""
+
 _features: Mapping[str, FeatureSet] = {}
 
 
-def begin_worker(features: Mapping[str, FeatureSet]) -> None:
-    """Make a new process ready: it gets the features of the study, and ignores Ctrl-C."""
+def begin_worker(features: Mapping[str, FeatureSet], environment: Mapping[str, str]) -> None:
+    """Make a new process ready: it gets features and environment of the study, and ignores Ctrl-C.
+    """
     global _features
     _features = features
+    os.environ.clear()
+    os.environ.update(environment)
     claim_process()  # no driver of GDAL but termsel's, as on the command line
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the study decides when cells end
     sys.stdout = sys.stderr  # stdout is for the results of the command
