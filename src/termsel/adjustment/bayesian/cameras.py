@@ -9,8 +9,8 @@ control, all else is drawn.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from termsel.adjustment.fused import fused
 from termsel.data.coordinates.crs import EARTH, body_of, metres_per_unit
 from termsel.data.coordinates.metres import is_in_degrees, plan_of
 from termsel.data.coordinates.wgs84 import EARTH_ROTATION, GRAVITY_CONSTANT, to_ecef
-from termsel.data.features import FloatArray
+from termsel.data.features import BoolArray, FloatArray
 from termsel.data.scaling import Scaling
 
 N_CAMERAS = 200
@@ -112,10 +112,10 @@ def east_north_up(scaling: Scaling, crs: str,
 
 
 _compiled = partial(compiled, _nrt=False)
+_inlined = partial(_compiled, forceinline=True)
 
 
-@dataclass(frozen=True, eq=False)
-class _Flights:
+class _Flights(NamedTuple):
     """Circular orbits, in axes to the east, north and up whose origin is the centre of the Earth.
     """
 
@@ -124,18 +124,6 @@ class _Flights:
     orbit: FloatArray    # (c, 3): the axis about which satellites turn
     motion: FloatArray   # (c,): how fast [rad/s]
     pole: FloatArray     # (c, 3)
-
-    def sight(self, positions: FloatArray, time: FloatArray) -> FloatArray:
-        """Return vectors, (3, c, m), from the satellites to places (m, 3) at times (c, m).
-
-        In axes that turn with the orbit the satellite rests; the Earth turns in inertial space.
-        """
-        sight = np.empty((3, *time.shape))
-        sight[:] = (positions + np.array([0.0, 0.0, EARTH_RADIUS])).T[:, None]
-        _turn(sight, self.pole, EARTH_ROTATION * time)
-        _turn(sight, self.orbit, -self.motion[:, None] * time)
-        sight -= self.station.T[:, :, None]
-        return sight
 
 
 def _flights(rng: np.random.Generator, heading: FloatArray, latitude: float, tilt: FloatArray,
@@ -178,21 +166,14 @@ def scanner_views(positions: FloatArray, azimuth: float,
     # The line of the scan, at right angles to the ray.
     x = _unit_vectors(x + ray * -(x * ray).sum(axis=1, keepdims=True))
     axes = np.stack([x, np.cross(-ray, x), -ray], axis=2)
+    places = _from_centre(positions)
 
-    def view(time: FloatArray) -> FloatArray:
-        """Return how far the view of places is off line and sample at a time: 0 when they are seen.
-        """
-        sight = flights.sight(positions, time)
-        along, across, ahead = (sum(axes[:, i, j, None] * sight[i] for i in range(3))
-                                for j in range(3))
-        line = along / ahead
-        sample = across / ahead
-        # Rates and their changes over the time of the image: a + b t^2 / 2, to second order.
-        roll, pitch, spin = (rate[:, i, None] * time + change[:, i, None] * time**2 / 2
-                             for i in range(3))
-        return np.stack([line - (pitch + spin * sample), sample - (roll - spin * line)])
+    def view(time: FloatArray, views: FloatArray) -> None:
+        """Fill in how far the view of places is off line and sample: 0 when they are seen."""
+        _fill_scanner_views(flights, places, time, axes, rate, change, views)
 
-    return (_views_at_sight(view, positions, azimuth, n),)
+    (time, sample), seen = _views_at_sight(view, positions, azimuth, n)
+    return (np.stack([time, sample], axis=-1)[seen],)
 
 
 def radar_views(positions: FloatArray, azimuth: float, latitude: float, *,
@@ -211,27 +192,24 @@ def radar_views(positions: FloatArray, azimuth: float, latitude: float, *,
                        (RADAR_INCIDENCE[1] - RADAR_INCIDENCE[0]), heading +
                        (-0.5 if right else 0.5) * np.pi, ORBIT_ALTITUDES[0] + altitude *
                        (ORBIT_ALTITUDES[1] - ORBIT_ALTITUDES[0]))
-    orbit_radius = np.linalg.norm(flights.station, axis=1)[:, None]
-    climb = RADAR_CLIMB * rng.standard_normal((n, 1))
+    orbit_radius = np.linalg.norm(flights.station, axis=1)
+    climb = RADAR_CLIMB * rng.standard_normal(n)
+    places = _from_centre(positions)
 
-    def view(time: FloatArray) -> FloatArray:
-        """Return Doppler, range, and angle at the Earth's centre, (3, c, m), at times (c, m)."""
-        # Doppler by a difference of two ranges, and the range itself.
-        distance, next_distance = (
-            np.sqrt((flights.sight(positions, at) ** 2).sum(axis=0))
-            for at in (time, time + FIRST_STEP))
-        surface = EARTH_RADIUS + climb * time
-        # What puts a range on the ground is a sphere whose radius drifts.
-        cosine = np.clip((orbit_radius ** 2 + surface ** 2 - distance ** 2) /
-                         (2*orbit_radius*surface), -1.0, 1.0)
-        sine = np.sqrt(1.0 - cosine**2) * orbit_radius / distance  # of ray and vertical
-        visible_distance = np.where((sine > RADAR_SINES[0]) & (sine < RADAR_SINES[1]), distance,
-                                    np.nan)
-        return np.stack([(next_distance-distance) / FIRST_STEP / orbit_radius, visible_distance,
-                         np.arccos(cosine)])
+    def view(time: FloatArray, views: FloatArray) -> None:
+        """Fill in Doppler, which is 0 when places are seen, and range."""
+        _fill_radar_views(flights, places, time, orbit_radius, views)
 
-    views = _views_at_sight(view, positions, azimuth, n)
-    return views[..., [0, 1]], views[..., [0, 2]]
+    (time, distance), seen = _views_at_sight(view, positions, azimuth, n)
+    # What puts a range on the ground is a sphere whose radius drifts.
+    orbit_radius = orbit_radius[:, None]
+    surface = EARTH_RADIUS + climb[:, None] * time
+    cosine = np.clip((orbit_radius**2 + surface**2 - distance**2) / (2 * orbit_radius * surface),
+                     -1.0, 1.0)
+    sine = np.sqrt(1.0 - cosine**2) * orbit_radius / distance  # of ray and vertical
+    seen &= ((sine > RADAR_SINES[0]) & (sine < RADAR_SINES[1])).all(axis=1)
+    return (np.stack([time, distance], axis=-1)[seen],
+            np.stack([time, np.arccos(cosine)], axis=-1)[seen])
 
 
 def frame_views(positions: FloatArray, azimuth: float) -> tuple[FloatArray, ...]:
@@ -256,33 +234,53 @@ def frame_views(positions: FloatArray, azimuth: float) -> tuple[FloatArray, ...]
     return (np.asarray(slopes[(depth > height[:, None] / 10).all(axis=1)]),)
 
 
-def _views_at_sight(view: Callable[[FloatArray], FloatArray], positions: FloatArray, azimuth: float,
-                    cameras: int) -> FloatArray:
-    """Return times (c, m) at which the first coordinate of a view is 0, and the others, (c, m, .).
+def _from_centre(positions: FloatArray) -> FloatArray:
+    """Return places (m, 3) from the centre of the Earth, (3, m): those of `_Flights`."""
+    return np.ascontiguousarray((positions + np.array([0.0, 0.0, EARTH_RADIUS])).T)
 
-    A view gives its coordinates (., c, m) at times (c, m) [s]. Places `positions` (m, 3) [m] are
-    passed in the direction `azimuth` [rad]; `cameras` is their number c. Cameras that do not see
-    all places are left out.
+
+def _views_at_sight(fill_views: Callable[[FloatArray, FloatArray], None], positions: FloatArray,
+                    azimuth: float, cameras: int) -> tuple[FloatArray, BoolArray]:
+    """Return times at which the first of two numbers of a view is 0, with the second, (2, c, m).
+
+    And which cameras see all places, (c,). `fill_views` fills in both numbers, (2, c, m), at times
+    (c, m) [s]. Places `positions` (m, 3) [m] are passed in the direction `azimuth` [rad]; `cameras`
+    is their number c.
     """
     # A satellite passes the ground at 7 km/s: the first guess of the time.
     guess = positions @ np.array([np.sin(azimuth), np.cos(azimuth), 0.0]) / GROUND_SPEED
     step = np.tile(np.where(np.abs(guess) < FIRST_STEP, FIRST_STEP, guess), (cameras, 1))
     time = np.zeros_like(step)
-    views = view(np.zeros_like(step))
-    with np.errstate(all="ignore"):
-        for _ in range(MAX_SECANT_STEPS):  # the secant method
-            if np.abs(step).max() < TIME_TOLERANCE:
-                break
-            time = np.clip(time + step, -MAX_TIME, MAX_TIME)
-            previous = views
-            views = view(time)
-            change = views[0] - previous[0]
-            step = np.where(np.abs(change) > 1e-13, -views[0] * step / change, 0.0)
+    views, previous = np.empty((2, 2, *step.shape))
+    fill_views(time, views)
+    largest = float(np.abs(step).max())
+    for _ in range(MAX_SECANT_STEPS):  # the secant method
+        if largest < TIME_TOLERANCE:
+            break
+        time += step
+        np.clip(time, -MAX_TIME, MAX_TIME, out=time)
+        views, previous = previous, views
+        fill_views(time, views)
+        largest = _next_steps(views[0].ravel(), previous[0].ravel(), step.ravel())
     views[0] = time
     # Cameras for which some place is never seen are left out of the prior.
-    valid = np.isfinite(views).all(axis=(0, 2)) & (np.abs(step).max(axis=1) < TIME_TOLERANCE) & (
+    seen = np.isfinite(views).all(axis=(0, 2)) & (np.abs(step).max(axis=1) < TIME_TOLERANCE) & (
         np.abs(time).max(axis=1) < MAX_TIME)
-    return np.moveaxis(views[:, valid], 0, -1)
+    return views, np.asarray(seen)
+
+
+@_compiled
+def _next_steps(off: FloatArray, previous: FloatArray, step: FloatArray) -> float:
+    """Replace steps by those of the secant method, and return the largest; NaN if one is.
+
+    `off` and `previous` are what should be 0 after the steps and before them; all are (l,).
+    """
+    largest = 0.0
+    for i in range(len(step)):
+        change = off[i] - previous[i]
+        step[i] = -off[i] * step[i] / change if not abs(change) <= 1e-13 else 0.0
+        largest = largest if abs(step[i]) <= largest else abs(step[i])
+    return largest
 
 
 def _unit_vectors(vectors: FloatArray) -> FloatArray:
@@ -322,3 +320,83 @@ def _add_rotation(x: FloatArray, y: FloatArray, z: FloatArray, axis: FloatArray,
             x[c, m] = x[c, m] + sine[c, m] * u + one_less_cosine[c, m] * fused(w, b, -(d * v))
             y[c, m] = y[c, m] + sine[c, m] * v + one_less_cosine[c, m] * fused(w, -a, d * u)
             z[c, m] = z[c, m] + sine[c, m] * w + one_less_cosine[c, m] * fused(v, a, -(b * u))
+
+
+# Views by kernels: what many cameras see of many places is far more than all else of a prior.
+
+
+@_inlined
+def _turned(x: float, y: float, z: float, axis: FloatArray,
+            angle: float) -> tuple[float, float, float]:
+    """Return a vector turned about an axis (3,) by an angle of at most a radian.
+
+    By Rodrigues' formula (see `_add_rotation`), with the series of sine and cosine: a satellite
+    turns by less than 0.6 within MAX_TIME.
+    """
+    a, b, d = axis[0], axis[1], axis[2]
+    square = angle * angle
+    sine = angle * (1.0 - square / 6 * (1.0 - square / 20 * (1.0 - square / 42 * (
+        1.0 - square / 72 * (1.0 - square / 110 * (1.0 - square / 156 * (1.0 - square / 210)))))))
+    one_less_cosine = square / 2 * (1.0 - square / 12 * (1.0 - square / 30 * (
+        1.0 - square / 56 * (1.0 - square / 90 * (1.0 - square / 132 * (
+            1.0 - square / 182 * (1.0 - square / 240)))))))
+    one_less_cosine = 1.0 - (1.0 - one_less_cosine)  # rounded as a cosine is
+    u = fused(z, b, -(d * y))
+    v = fused(z, -a, d * x)
+    w = fused(y, a, -(b * x))
+    return (x + sine * u + one_less_cosine * fused(w, b, -(d * v)),
+            y + sine * v + one_less_cosine * fused(w, -a, d * u),
+            z + sine * w + one_less_cosine * fused(v, a, -(b * u)))
+
+
+@_inlined
+def _sight(flights: _Flights, c: int, places: FloatArray, m: int,
+           time: float) -> tuple[float, float, float]:
+    """Return the vector from the satellite of a camera to a place at a time.
+
+    In axes that turn with the orbit the satellite rests; the Earth turns in inertial space.
+    """
+    x, y, z = _turned(places[0, m], places[1, m], places[2, m], flights.pole[c],
+                      EARTH_ROTATION * time)
+    x, y, z = _turned(x, y, z, flights.orbit[c], -flights.motion[c] * time)
+    return (x - flights.station[c, 0], y - flights.station[c, 1], z - flights.station[c, 2])
+
+
+@_compiled
+def _fill_scanner_views(flights: _Flights, places: FloatArray, time: FloatArray, axes: FloatArray,
+                        rate: FloatArray, change: FloatArray, views: FloatArray) -> None:
+    """Fill `views` (2, c, m): how far places (3, m) are off the line at times (c, m), and sample.
+
+    The columns of `axes` (c, 3, 3) are those along the line, across it and of the ray. Rates of
+    attitude (c, 3) and their changes act over the time of the image, a + b t^2 / 2.
+    """
+    for c in range(len(time)):
+        for m in range(time.shape[1]):
+            t = time[c, m]
+            x, y, z = _sight(flights, c, places, m, t)
+            ahead = axes[c, 0, 2] * x + axes[c, 1, 2] * y + axes[c, 2, 2] * z
+            line = (axes[c, 0, 0] * x + axes[c, 1, 0] * y + axes[c, 2, 0] * z) / ahead
+            sample = (axes[c, 0, 1] * x + axes[c, 1, 1] * y + axes[c, 2, 1] * z) / ahead
+            # Small turns, to second order.
+            roll = rate[c, 0] * t + change[c, 0] * t * t / 2
+            pitch = rate[c, 1] * t + change[c, 1] * t * t / 2
+            spin = rate[c, 2] * t + change[c, 2] * t * t / 2
+            views[0, c, m] = line - (pitch + spin * sample)
+            views[1, c, m] = sample - (roll - spin * line)
+
+
+@_compiled
+def _fill_radar_views(flights: _Flights, places: FloatArray, time: FloatArray,
+                      orbit_radius: FloatArray, views: FloatArray) -> None:
+    """Fill `views` (2, c, m) with Doppler, by the radius of the orbit (c,), and range of places.
+
+    Doppler is a difference of the ranges at a time and a moment later.
+    """
+    for c in range(len(time)):
+        for m in range(time.shape[1]):
+            x, y, z = _sight(flights, c, places, m, time[c, m])
+            distance = np.sqrt(x * x + y * y + z * z)
+            x, y, z = _sight(flights, c, places, m, time[c, m] + FIRST_STEP)
+            later = np.sqrt(x * x + y * y + z * z)
+            views[0, c, m] = (later - distance) / FIRST_STEP / orbit_radius[c]
+            views[1, c, m] = distance

@@ -9,13 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
 from termsel.adjustment.bayesian.bidiagonal import Bidiagonal, BidiagonalSolutions, bidiagonal
+from termsel.adjustment.compiled import compiled
 from termsel.adjustment.solve import TOLERANCE
 from termsel.data.features import FloatArray, IntArray
+
+# Nothing is allocated, and sums are taken in the order in which they are written.
+_compiled = partial(compiled, _nrt=False)
 
 # Orthogonal columns of tall matrices.
 
@@ -233,50 +237,103 @@ class SharedShrinkage:
         assert design.shared_decomposition is not None
         u, values = design.shared_decomposition
         self._shared_vt = u.T @ design.shrunken[:, n_own:]                              # S V'
-        # (u, m).
-        self._shrink = 1.0 / (1.0 + (self._column_scales[:, n_own:n_own + 1] * values) ** 2)
-        # C', (u, f, m).
-        self._columns = self._column_scales[:, :n_own, None] * (design.shrunken[:, :n_own].T @ u)
-        weighted = self._columns * self._shrink[:, None]
-        # L^-1 of I + C'W C = L L'.
-        self._inverse = np.linalg.inv(np.linalg.cholesky(
-            np.eye(n_own) + weighted @ self._columns.swapaxes(1, 2)))
-        self._correction = self._inverse @ weighted
+        # In what follows solutions stand side by side, last: each step is one for all of them.
+        # W, (m, u).
+        self._shrink = 1.0 / (
+            1.0 + np.multiply.outer(values, self._column_scales[:, n_own]) ** 2)
+        own_columns = np.ascontiguousarray(design.shrunken[:, :n_own].T @ u)              # (f, m)
+        count = len(group)
+        # L and L^-1 C'W, of I + C'W C = L L'.
+        self._triangle = np.empty((n_own, n_own, count))
+        self._correction = np.empty((*own_columns.shape, count))
+        _factor_own_columns(own_columns, np.ascontiguousarray(self._column_scales[:, :n_own].T),
+                            self._shrink, self._triangle, self._correction)
         self._directions = u.T @ design.basis.T                                           # (m, n)
 
     @cached_property
     def all_redundancies(self) -> FloatArray | None:
         """1 minus the leverage of each point, shape (u, n); None where rounding errors matter."""
         # Diagonal of W less that of W C (I + C'W C)^-1 C'W, of which hardly anything may remain.
-        shared_part = self._shrink @ self._directions**2 + self._design.unexplained_share
-        count, n_own, m = self._correction.shape
-        correction = (self._correction.reshape(-1, m) @ self._directions).reshape(count, n_own, -1)
+        shared_part = (self._directions**2).T @ self._shrink
+        shared_part += self._design.unexplained_share[:, None]
+        correction = self._directions.T @ self._correction                            # (f, n, u)
         correction *= correction
-        redundancies = shared_part - correction.sum(axis=1)
-        return None if (redundancies <= CANCELLATION * shared_part).any() else np.maximum(
-            redundancies, MIN_REDUNDANCY, out=redundancies)
+        redundancies = shared_part - correction.sum(axis=0)
+        return None if (redundancies <= CANCELLATION * shared_part).any() else \
+            np.maximum(redundancies.T, MIN_REDUNDANCY, order="C")
 
     def solutions(self, target: FloatArray, solution_of_cell: IntArray) -> AxisSolutions:
         """Return the solutions for the measurements of one axis (see `Shrinkage.solutions`)."""
         design = self._design
         redundancies = self.all_redundancies
         assert redundancies is not None
+        n_own = design.n_own
         projections = self._directions @ target
-        # (u, f).
-        mixed = self._correction @ projections
-        shrunken_projections = self._shrink * projections - (mixed[:, None] @ self._correction)[:,
-                                                                                                0]
+        mixed = projections @ self._correction                                           # (f, u)
+        shrunken_projections = (self._shrink * projections[:, None] - np.einsum(
+            "fu,fmu->mu", mixed, self._correction)).T
+        _solve_transposed(self._triangle, mixed)
         coefficients = self._column_scales.copy()
-        coefficients[:, :design.n_own] *= (mixed[:, None] @ self._inverse)[:, 0]
-        coefficients[:, design.n_own:] *= self._column_scales[:, design.n_own:design.n_own + 1] * (
+        coefficients[:, :n_own] *= mixed.T
+        coefficients[:, n_own:] *= self._column_scales[:, n_own:n_own + 1] * (
             shrunken_projections @ self._shared_vt)
-        effective = (design.explained.shape[1] - self._shrink.sum(axis=1)
-                     + (self._correction**2).sum(axis=(1, 2)))
+        effective = (design.explained.shape[1] - self._shrink.sum(axis=0)
+                     + np.einsum("fmu,fmu->u", self._correction, self._correction))
         errors = shrunken_projections @ self._directions + design.unexplained_part(target)
         return AxisSolutions(solution_of_cell, effective, coefficients,
                              design.explained[:, :len(design.free_triangle)].T @ target,
                              lambda points: redundancies[:, points],
                              lambda points: errors[:, points])
+
+
+@_compiled
+def _factor_own_columns(columns: FloatArray, scales: FloatArray, shrink: FloatArray,
+                        triangle: FloatArray, correction: FloatArray) -> None:
+    """Fill in L, `triangle` (f, f, u), and L^-1 C'W, `correction` (f, m, u), of u solutions.
+
+    L L' = I + C'W C. The columns of C are those of `columns` (f, m) by `scales` (f, u); W is the
+    diagonal `shrink` (m, u).
+    """
+    f, m = columns.shape
+    lanes = scales.shape[1]
+    for i in range(f):
+        for j in range(m):
+            for u in range(lanes):
+                correction[i, j, u] = scales[i, u] * columns[i, j] * shrink[j, u]
+        for k in range(i + 1):
+            entry = triangle[i, k]
+            entry[:] = 0.0
+            for j in range(m):
+                for u in range(lanes):
+                    entry[u] += correction[i, j, u] * columns[k, j]
+            for u in range(lanes):
+                entry[u] = entry[u] * scales[k, u] + (1.0 if i == k else 0.0)
+            for j in range(k):
+                for u in range(lanes):
+                    entry[u] -= triangle[i, j, u] * triangle[k, j, u]
+            for u in range(lanes):
+                entry[u] = np.sqrt(entry[u]) if i == k else entry[u] / triangle[k, k, u]
+    # L^-1 C'W: a row of C'W less what the rows above have in common with it.
+    for i in range(f):
+        for k in range(i):
+            for j in range(m):
+                for u in range(lanes):
+                    correction[i, j, u] -= triangle[i, k, u] * correction[k, j, u]
+        for j in range(m):
+            for u in range(lanes):
+                correction[i, j, u] /= triangle[i, i, u]
+
+
+@_compiled
+def _solve_transposed(triangle: FloatArray, right: FloatArray) -> None:
+    """Solve L'x = `right` (f, u), which x takes the place of; L is `triangle` (f, f, u)."""
+    f, lanes = right.shape
+    for i in range(f - 1, -1, -1):
+        for j in range(i + 1, f):
+            for u in range(lanes):
+                right[i, u] -= triangle[j, i, u] * right[j, u]
+        for u in range(lanes):
+            right[i, u] /= triangle[i, i, u]
 
 
 def shrinkage_of(design: Design, group: IntArray, size: IntArray,
