@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -12,6 +13,10 @@ from termsel.data.features import FloatArray
 GROUND_BATCH = 200
 """Places whose kernels are worked on together: what is read again stays in a cache."""
 
+PRODUCTS_BATCH = 1000
+"""Places whose columns are multiplied by each other together: the sum of products, which is large,
+is then read few times."""
+
 SPLINE_KNOTS = 1000
 """Most points that have a kernel each, and knots of more. As many for some of the points as for
 all, lest what some predict look better than what all do."""
@@ -20,13 +25,57 @@ EIGENVALUE_JITTER = 1e-10
 """Part of the field's variance that is none: that of close points, or of affine functions."""
 
 
+N_AFFINE = 3
+"""Columns of an affine function in the plane."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reflections:
+    """The complete orthogonal matrix Q of a QR factorisation, as I - V T V'.
+
+    That is the product of f Householder reflections I - tau v v' (Schreiber and Van Loan 1989). A
+    product of Q and a matrix (n, n) takes n^2 f operations instead of n^3.
+    """
+
+    vectors: FloatArray  # (n, f): V
+    triangle: FloatArray  # (f, f): T, upper triangular
+
+    @classmethod
+    def of(cls, columns: FloatArray) -> Reflections:
+        """Return the Q that makes some columns (n, f) triangular."""
+        packed, factors = np.linalg.qr(columns, mode="raw")
+        vectors = np.triu(packed, 1).T
+        np.fill_diagonal(vectors, 1.0)
+        triangle = np.diag(factors)
+        for i in range(1, len(factors)):
+            triangle[:i, i] = -factors[i] * (triangle[:i, :i] @ (vectors[:, :i].T @ vectors[:, i]))
+        return cls(vectors, triangle)
+
+    def __call__(self, matrix: FloatArray) -> FloatArray:
+        """Return Q times a matrix (n, m)."""
+        return np.asarray(matrix - self.vectors @ (self.triangle @ (self.vectors.T @ matrix)))
+
+    def transposed(self, matrix: FloatArray) -> FloatArray:
+        """Return Q' M of a matrix M (n, m), shape (n, m)."""
+        return np.asarray(matrix - self.vectors @ (self.triangle.T @ (self.vectors.T @ matrix)))
+
+    def from_right(self, matrix: FloatArray) -> FloatArray:
+        """Return M Q of a matrix M (m, n), shape (m, n)."""
+        return np.asarray(matrix - matrix @ self.vectors @ self.triangle @ self.vectors.T)
+
+
 class SplineColumns:
     """The columns that span a field: kernels around all points, or around knots among many."""
 
     def __init__(self, positions: FloatArray, all_knots: bool) -> None:
         reduced = len(positions) > SPLINE_KNOTS and not all_knots
         self.knots = farthest_points(positions, SPLINE_KNOTS) if reduced else positions
-        self.root = spline_root(self.knots) if reduced else None
+        self._triangle = _inverse_triangle(self.knots) if reduced else None
+        self.root: FloatArray | None = None  # B (k, c), see `spline_root`
+        if self._triangle is not None:
+            self.root = self._triangle.root
+        elif reduced:
+            self.root = spline_root(self.knots)
         # What an affine function fits of each column, which the columns then lack.
         self._affine_fit = np.zeros((3, 0))
         if self.root is not None:
@@ -38,24 +87,34 @@ class SplineColumns:
         if self.root is None:
             return kernel(positions, self.knots)
         affine = _affine_columns(positions)
-        return np.asarray(kernel(positions, self.knots) @ self.root - affine @ self._affine_fit)
+        kernels = kernel(positions, self.knots)
+        columns = kernels @ self.root if self._triangle is None else self._triangle.times(kernels)
+        return np.asarray(columns - affine @ self._affine_fit)
 
     def times(self, positions: FloatArray, coefficients: FloatArray) -> FloatArray:
-        """Return the columns at places times coefficients (k, a), shape (m, a).
+        """Return the columns at places times coefficients (k, a), shape (m, a)."""
+        return self.combined(coefficients)(positions)
+
+    def combined(self, coefficients: FloatArray) -> Callable[[FloatArray], FloatArray]:
+        """Return a function that gives the columns at places times coefficients (k, a), (m, a).
 
         Around knots they are first turned into coefficients of the kernels and of the affine
         functions that the columns lack: fewer operations than the columns of many places.
         """
         kernel_coefficients = coefficients
-        affine_coefficients = np.zeros((3, coefficients.shape[1]))
+        affine_coefficients = np.zeros((N_AFFINE, coefficients.shape[1]))
         if self.root is not None:
             kernel_coefficients = self.root @ coefficients
             affine_coefficients = self._affine_fit @ coefficients
-        values = np.empty((len(positions), coefficients.shape[1]))
-        for batch in batches_of(len(positions)):
-            values[batch] = kernel(positions[batch], self.knots) @ kernel_coefficients
-            values[batch] -= _affine_columns(positions[batch]) @ affine_coefficients
-        return values
+
+        def at(positions: FloatArray) -> FloatArray:
+            values = np.empty((len(positions), coefficients.shape[1]))
+            for batch in batches_of(len(positions)):
+                values[batch] = kernel(positions[batch], self.knots) @ kernel_coefficients
+                values[batch] -= _affine_columns(positions[batch]) @ affine_coefficients
+            return values
+
+        return at
 
     def sums(self, positions: FloatArray, factors: FloatArray) -> FloatArray:
         """Return the transposed columns at places times factors (m, a) of them, shape (k, a)."""
@@ -99,9 +158,9 @@ class SplineColumns:
                           + np.maximum(unspanned, 0.0))
 
 
-def batches_of(n: int) -> list[slice]:
-    """Return slices that cover n places, of at most GROUND_BATCH each; none if n is 0."""
-    return [slice(start, start + GROUND_BATCH) for start in range(0, n, GROUND_BATCH)]
+def batches_of(n: int, size: int = GROUND_BATCH) -> list[slice]:
+    """Return slices that cover n places, of at most `size` each; none if n is 0."""
+    return [slice(start, start + size) for start in range(0, n, size)]
 
 
 def _affine_columns(positions: FloatArray) -> FloatArray:
@@ -177,6 +236,44 @@ def residual_variance(positions: FloatArray, knots: FloatArray) -> FloatArray:
     fitted = affine @ np.linalg.pinv(knot_affine)
     return np.asarray((fitted * (fitted @ kernel(knots, knots)
                                  - 2 * kernel(positions, knots))).sum(axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class _InverseTriangle:
+    """A root B = Q L'^-1 of the inverse of what affine functions leave of kernels around knots.
+
+    Q (k, k - 3) is orthonormal, nothing affine is in it, and L L' = Q' K Q. A product of kernels
+    (m, k) and B takes half the operations that it takes if B is any matrix.
+    """
+
+    reflections: Reflections
+    inverse: FloatArray  # (c, c): L^-1, lower triangular
+    root: FloatArray  # (k, c): B
+
+    def times(self, kernels: FloatArray) -> FloatArray:
+        """Return kernels (m, k) times B, shape (m, c)."""
+        from scipy.linalg import blas  # which splines of fewer points need not import
+
+        free = self.reflections.from_right(kernels)[:, N_AFFINE:]
+        return np.asarray(blas.dtrmm(1.0, self.inverse, free.T, lower=1)).T
+
+
+def _inverse_triangle(knots: FloatArray) -> _InverseTriangle | None:
+    """Return the root by Cholesky's factors; None where rounding would show, as of close knots."""
+    kernels = kernel(knots, knots)
+    reflections = Reflections.of(_affine_columns(knots))
+    free = reflections.from_right(reflections.transposed(kernels))[N_AFFINE:, N_AFFINE:]
+    try:
+        inverse = np.linalg.inv(np.linalg.cholesky(free))
+    except np.linalg.LinAlgError:
+        return None
+    # No eigenvalue of what is left of the kernels is less than 1 / |L^-1|^2, the sum of squares.
+    largest = max(float(np.linalg.norm(free)), float(np.abs(kernels).max()))
+    if 1.0 <= EIGENVALUE_JITTER * largest * (inverse**2).sum():
+        return None
+    inverse = np.tril(inverse)
+    rows = np.vstack([np.zeros((N_AFFINE, len(inverse))), inverse.T])
+    return _InverseTriangle(reflections, np.asfortranarray(inverse), reflections(rows))
 
 
 def spline_root(knots: FloatArray) -> FloatArray:

@@ -25,7 +25,13 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from termsel.adjustment.bayesian.kernels import EIGENVALUE_JITTER, SplineColumns, batches_of
+from termsel.adjustment.bayesian.kernels import (
+    EIGENVALUE_JITTER,
+    PRODUCTS_BATCH,
+    Reflections,
+    SplineColumns,
+    batches_of,
+)
 from termsel.adjustment.equations import weights_of
 from termsel.adjustment.solve import TOLERANCE
 from termsel.data.features import FloatArray, Points
@@ -189,37 +195,6 @@ class _Basis:
         return int(len(self.q) - self.q.shape[1] - len(self.values))
 
 
-@dataclass(frozen=True, eq=False)
-class _Reflections:
-    """The complete orthogonal matrix Q of a QR factorisation, as I - V T V'.
-
-    That is the product of f Householder reflections I - tau v v' (Schreiber and Van Loan 1989). A
-    product of Q and a matrix (n, n) takes n^2 f operations instead of n^3.
-    """
-
-    vectors: FloatArray  # (n, f): V
-    triangle: FloatArray  # (f, f): T, upper triangular
-
-    @classmethod
-    def of(cls, columns: FloatArray) -> _Reflections:
-        """Return the Q that makes some columns (n, f) triangular."""
-        packed, factors = np.linalg.qr(columns, mode="raw")
-        vectors = np.triu(packed, 1).T
-        np.fill_diagonal(vectors, 1.0)
-        triangle = np.diag(factors)
-        for i in range(1, len(factors)):
-            triangle[:i, i] = -factors[i] * (triangle[:i, :i] @ (vectors[:, :i].T @ vectors[:, i]))
-        return cls(vectors, triangle)
-
-    def __call__(self, matrix: FloatArray) -> FloatArray:
-        """Return Q times a matrix (n, m)."""
-        return np.asarray(matrix - self.vectors @ (self.triangle @ (self.vectors.T @ matrix)))
-
-    def transposed(self, matrix: FloatArray) -> FloatArray:
-        """Return Q' M of a matrix M (n, m), shape (n, m)."""
-        return np.asarray(matrix - self.vectors @ (self.triangle.T @ (self.vectors.T @ matrix)))
-
-
 def _basis(lead: FloatArray, positions: FloatArray, weights: FloatArray,
            field_columns: SplineColumns) -> _Basis | None:
     """Return the eigenvectors, or None if the points do not determine an affine function.
@@ -244,7 +219,7 @@ def _basis_of_all(lead: FloatArray, q: FloatArray, kernels: FloatArray) -> _Basi
     n, f = lead.shape
     # On what affine functions leave the kernels are positive: that is what the last n - f rows and
     # columns of Q' K Q are, of the complete Q.
-    reflections = _Reflections.of(lead)
+    reflections = Reflections.of(lead)
     free = reflections.transposed(reflections.transposed(kernels).T)[f:, f:]
     values, vectors = np.linalg.eigh(free)
     u = reflections(np.vstack([np.zeros((f, n - f)), vectors]))
@@ -260,20 +235,23 @@ def _basis_of_knots(q: FloatArray, positions: FloatArray, weights: FloatArray,
 
     With F = W C - q q' W C, of the columns C and the weights W, they are F V / sqrt(values) of the
     eigenvectors V of F' F. What has few columns is never multiplied by C itself: its kernels take
-    the coefficients (see `SplineColumns.times`).
+    the coefficients (see `SplineColumns.combined`).
     """
     affine = field_columns.sums(positions, q * weights[:, None]).T  # q' W C, (f, c)
     products = np.zeros((affine.shape[1],) * 2)
-    for batch in batches_of(len(q)):
+    for batch in batches_of(len(q), PRODUCTS_BATCH):
         rows = field_columns(positions[batch]) * weights[batch, None] - q[batch] @ affine
         products += rows.T @ rows
     values, vectors = np.linalg.eigh(products)
     large = values > EIGENVALUE_JITTER * values.max()
     to_eigenvectors = vectors[:, large] / np.sqrt(values[large])
 
+    columns_along = field_columns.combined(to_eigenvectors)
+    affine_along = affine @ to_eigenvectors
+
     def eigenvectors(batch: slice) -> FloatArray:
-        columns = field_columns.times(positions[batch], to_eigenvectors) * weights[batch, None]
-        return np.asarray(columns - q[batch] @ (affine @ to_eigenvectors))
+        columns = columns_along(positions[batch]) * weights[batch, None]
+        return np.asarray(columns - q[batch] @ affine_along)
 
     def along(free: FloatArray) -> FloatArray:
         return np.asarray(
