@@ -264,21 +264,57 @@ def test_groups_of_many_points_tell_a_rough_field_from_a_smooth_one(smoothness: 
     assert share > 0.9
 
 
-def test_a_course_of_two_trends_is_the_sum_of_theirs() -> None:
+def test_rows_of_points_determine_a_trend_of_as_high_a_degree_as_they_can() -> None:
+    line, sample = np.meshgrid(np.linspace(-1.0, 1.0, 3), np.linspace(-1.0, 1.0, 10))
+    places = np.column_stack([line.ravel(), sample.ravel(), np.zeros(30)])
+    rng = np.random.default_rng(17)
+    image = places[:, :2] + 1e-3 * rng.standard_normal((30, 2))
+    for grid, columns in ((image, 10), (places[:, :2], 6)):
+        courses = local_courses(Points(tuple(map(str, range(30))), image,
+                                       np.column_stack([grid, np.zeros(30)])), 1e-3)
+        assert courses is not None
+        assert courses.control.trend.shape == (30, columns)
+
+
+def test_a_bend_of_third_degree_is_no_field() -> None:
+    rng = np.random.default_rng(18)
+    places = rng.uniform(-1.0, 1.0, (60, 2))
+    bend = 8.0 * places * (places**2).sum(axis=1, keepdims=True)
+    courses = local_courses(many_points(bend, places), 2e-3)
+    assert courses is not None
+    cubic = sum(solutions.shares[-1, 0].sum() for solutions in courses.solutions)
+    assert cubic > 0.9
+
+
+def test_jumps_between_swaths_are_told_from_a_smooth_course_across_them() -> None:
+    rng = np.random.default_rng(19)
+    places = rng.uniform(-1.0, 1.0, (600, 2))
+    shifts = rng.normal(0.0, 0.8, (10, 2))
+    in_swaths = shifts[(5.0 * (places[:, 1] + 1.0)).astype(int)]
+    courses = local_courses(many_points(in_swaths, places), 2e-3)
+    assert courses is not None
+    rough = sum(solutions.shares[:, 0].sum() for solutions in courses.solutions
+                if solutions.lengths[0] == 20.0)
+    assert rough > 0.5
+
+
+def test_a_course_of_several_trends_is_the_sum_of_theirs() -> None:
     courses = local_courses(road_and_sheet().take(np.arange(380, 500)), 1e-3)
     assert courses is not None
     system = courses.control
     places = np.array([[0.2, 0.3], [-0.7, 0.9]])
+    line, sample = places.T
+    trend = np.column_stack([trend_of(places, 120), line**3, line**2 * sample,
+                             line * sample**2, sample**3])
     for solutions in courses.solutions[:3]:
         expected = np.zeros((2, 2))
         for columns, shares in zip(TREND_COLUMNS, solutions.shares, strict=True):
             course = replace(system, trend=system.trend[:, :columns]).course(
                 solutions.lengths, solutions.smoothness, solutions.ratios, shares)
             expected += course.squares(course.columns(
-                places, system.positions, trend_of(places, 120)[:, :columns]), 0.01)
+                places, system.positions, trend[:, :columns]), 0.01)
         course = solutions.course(system)
-        found = course.squares(course.columns(places, system.positions, trend_of(places, 120)),
-                               0.01)
+        found = course.squares(course.columns(places, system.positions, trend), 0.01)
         np.testing.assert_allclose(found, expected, rtol=0.01, atol=1e-9)
 
 

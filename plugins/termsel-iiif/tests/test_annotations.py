@@ -18,10 +18,11 @@ pytest.importorskip("termsel_iiif", reason="termsel-iiif is not installed: "
 import termsel
 from termsel import FeatureSet, Points, Result, TermselError, export, read
 from termsel.testing import check, checks, invoke
+from termsel.toolkit.coordinates import to_wgs84
 from termsel_iiif.annotation import MASK, SOURCE, TRANSFORMATION, corners, maps_of
 from termsel_iiif.reader import ALL_POINTS, AnnotationReader
 from termsel_iiif.viewer import TRANSFORMATIONS, degrees, forward, kind_of, mercator
-from termsel_iiif.writer import AnnotationWriter
+from termsel_iiif.writer import AnnotationWriter, _transformation
 
 MASK_OF_4 = '<svg width="3000" height="2000"><polygon points="5,5 5,1990 2990,1990 2990,5" /></svg>'
 
@@ -287,6 +288,23 @@ def test_the_deviation_is_that_of_the_viewer(
     caplog.clear()
     export(fitted(path, "helmert2d"), "georeference-annotation", tmp_path / "b.json")
     assert "viewer with helmert" in caplog.text
+
+
+def test_the_sky_of_an_oblique_photo_is_not_asked_for(caplog: pytest.LogCaptureFixture) -> None:
+    # A camera 600 m above the plain looks 10 degrees below the horizon, which is at line 559.
+    rng = np.random.default_rng(10)
+    right, ahead, up = rng.uniform([-0.3, 1500.0, 0.0], [0.3, 8000.0, 100.0], (20, 3)).T
+    angle = np.radians(10.0)
+    depth = ahead * np.cos(angle) + (600.0 - up) * np.sin(angle)
+    down = (600.0 - up) * np.cos(angle) - ahead * np.sin(angle)
+    image = np.column_stack([1000.0 + 2500.0 * down / depth,
+                             1000.0 + 2500.0 * right * ahead / depth])
+    ground = np.column_stack([5e5 + right * ahead, 5.2e6 + ahead, up])
+    points = Points(tuple(map(str, range(20))), image + rng.normal(0.0, 0.3, image.shape), ground)
+    fit = termsel.fit(FeatureSet(points, crs="EPSG:32632", image_size=(2000, 2000)), "dlt")
+    stated = _transformation(fit, points.image, to_wgs84("EPSG:32632")(ground)[:, :2], None)
+    assert stated == {"type": "projective"}
+    assert "viewer with projective" in caplog.text
 
 
 def test_the_maps_of_a_page_are_data_of_a_study(tmp_path: Path) -> None:

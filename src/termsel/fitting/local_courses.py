@@ -7,8 +7,8 @@ sample,
 
     z = T b + g + e,    g ~ (ratio s)^2 K,  e ~ s^2,
 
-with an affine or quadratic trend T of places in the image, as an affine map of the ground sees
-them, and a covariance K of unknown smoothness, length and ratio, or without a field g. All are
+with an affine, quadratic or cubic trend T of places in the image, as an affine map of the ground
+sees them, and a covariance K of unknown smoothness, length and ratio, or without a field g. All are
 averaged with their restricted likelihood, as in `termsel.fitting.misfit`. With c = (ratio^2 k, t)
 the covariances and trend of a place and M = [[S, T], [T', 0]], S = I + ratio^2 K, a course has
 there (universal kriging)
@@ -55,7 +55,6 @@ from termsel.fitting.misfit import (
     System,
     matern,
     rows_of_field,
-    trend_of,
 )
 
 LOCAL_MIN_POINTS = 20
@@ -70,9 +69,14 @@ derivatives."""
 
 UNEQUAL_LENGTHS = ((0.15, 2.0), (2.0, 0.15), (0.05, 2.0), (2.0, 0.05))
 UNEQUAL_SMOOTHNESSES = (0.5, 1.5)
+"""Lengths and smoothnesses of what differs along lines and samples, as where a scanner shakes."""
+
+SWATH_LENGTHS = ((0.4, 20.0), (20.0, 0.4), (0.1, 20.0), (20.0, 0.1))
+SWATH_SMOOTHNESS = 0.5
+"""The same of what jumps from swath to swath of a scan, and is alike all along each."""
+
 UNEQUAL_PROBABILITY = 0.1
-"""Lengths and smoothnesses of what differs along lines and samples, as where a scanner jumps or
-shakes, and their probability among fields."""
+"""Probability of both among fields."""
 
 RATIOS = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 12.8, 25.6)
 """Standard deviations of the field by that of the noise, all as likely beforehand."""
@@ -83,8 +87,8 @@ FINE_RATIOS = tuple(np.geomspace(0.1, 25.6, 17).tolist())
 FIELD_PROBABILITY = 0.8
 """Probability of a field: hardly a sheet is a plane to a tenth of its noise."""
 
-TREND_COLUMNS = 3, 6
-"""Of an affine and of a quadratic trend, both as likely beforehand."""
+TREND_COLUMNS = 3, 6, 10
+"""Of an affine, a quadratic and a cubic trend, all as likely beforehand."""
 
 CELL_POINTS = 100
 """Most points of a cell, where that does not make more than MAX_CELLS."""
@@ -120,7 +124,7 @@ class Solutions:
     shares: FloatArray
 
     def course(self, system: System, discrepancies: FloatArray | float = 0.0) -> Course:
-        """Return the course of some control: all ratios with an affine and a quadratic trend.
+        """Return the course of some control: all ratios with all trends.
 
         Discrepancies (n,) are the variances of what the control shows less the field at its
         positions, by the variance of the field.
@@ -218,7 +222,7 @@ class Cell:
     def columns(self, course: Course, positions: FloatArray) -> FloatArray:
         """Return the columns at positions (m, 2) from which a course has its mean and variance."""
         return course.columns(positions, self.positions,
-                              trend_of(positions, len(self.positions)))
+                              _trend_of(positions, course.trend_columns))
 
 
 @dataclass(frozen=True, eq=False)
@@ -322,8 +326,8 @@ def local_courses(points: Points, pixel: float) -> LocalCourses | None:
                           dtype=np.float64)
     positions = affine @ to_image
     deviations = points.image - positions
-    trend = trend_of(positions, n)
-    if np.linalg.matrix_rank(trend[spread]) < trend.shape[1] or not deviations[spread].any():
+    trend = _determined_trend(positions, spread)
+    if trend is None or not deviations[spread].any():
         return None
     from_trend = deviations - trend @ np.linalg.lstsq(trend[spread], deviations[spread])[0]
     groups = _groups_around(positions, positions.mean(axis=0), np.inf)
@@ -341,7 +345,7 @@ def local_courses(points: Points, pixel: float) -> LocalCourses | None:
     for probability, lengths, smoothness, ratios in _priors(FINE_RATIOS if is_fine else RATIOS):
         by_ratio = _log_likelihoods(system, within, lengths, smoothness, ratios)     # (t, 2, r, s)
         by_noise = np.logaddexp.reduce(by_ratio, axis=2)                               # (t, 2, s)
-        logs.append(np.log(probability / len(TREND_COLUMNS)) + log_prior + by_noise.sum(axis=1))
+        logs.append(np.log(probability / len(by_ratio)) + log_prior + by_noise.sum(axis=1))
         grids.append((lengths, smoothness, ratios, np.exp(by_ratio - by_noise[:, :, None])))
     shares = np.exp(np.array(logs) - np.logaddexp.reduce(logs, axis=None))           # (c, t, s)
     if not np.isfinite(shares).all():
@@ -355,7 +359,7 @@ def local_courses(points: Points, pixel: float) -> LocalCourses | None:
 
 def _log_likelihoods(system: System, within: Groups, lengths: tuple[float, float],
                      smoothness: float, ratios: tuple[float, ...]) -> FloatArray:
-    """Return log p(z, ratio | trend, length, s) of both trends and axes, (2, 2, r, s).
+    """Return log p(z, ratio | trend, length, s) of all trends and both axes, (t, 2, r, s).
 
     The affine part of the trend may be anything. That of higher degree has beforehand the
     information of one point (Zellner 1986, with g = n): the likelihood is that of the affine trend,
@@ -368,27 +372,28 @@ def _log_likelihoods(system: System, within: Groups, lengths: tuple[float, float
     share_apart = float((within.sizes - 1.0) @ (1.0 - in_groups)) / max(within.freedom, 1.0)
     n, f = system.trend.shape
     affine_columns = TREND_COLUMNS[0]
+    trends = [columns for columns in TREND_COLUMNS if columns <= f]
     # With V^-1/2 K V^-1/2 = Q diag(values) Q', S = V + ratio^2 K is whitened for any ratio.
     scale = 1.0 / np.sqrt(system.relative_variances)
     values, vectors = np.linalg.eigh(correlation * np.outer(scale, scale))
     values = np.maximum(values, 0.0)
     turned = vectors.T @ (scale[:, None] * np.column_stack([system.trend, system.residuals]))
-    logs = np.empty((len(TREND_COLUMNS), 2, len(ratios), len(system.noises)))
+    logs = np.empty((len(trends), 2, len(ratios), len(system.noises)))
     for i, ratio in enumerate(ratios):
         variances = 1.0 + ratio**2 * values
         whitened = turned / np.sqrt(variances)[:, None]
         q, r = np.linalg.qr(whitened[:, :f])
         along = q.T @ whitened[:, f:]                                                  # (f, 2)
-        explained = (along[affine_columns:]**2).sum(axis=0)[:, None] / system.noises**2
         squares = (whitened[:, f:]**2).sum(axis=0) - (along[:affine_columns]**2).sum(axis=0)
         determinant = 0.5 * np.log(variances).sum() - np.log(scale).sum() \
             + np.log(np.abs(np.diag(r)[:affine_columns])).sum()
         affine = -(n - affine_columns) * np.log(system.noises) \
             - 0.5 * squares[:, None] / system.noises**2 - determinant
         affine += within.log_likelihood(1.0 + ratio**2 * share_apart, system.noises)
-        logs[0, :, i] = affine
-        logs[1, :, i] = affine + 0.5 * explained * n / (n + 1.0) \
-            - 0.5 * (f - affine_columns) * np.log(n + 1.0)
+        for j, columns in enumerate(trends):
+            explained = (along[affine_columns:columns]**2).sum(axis=0)[:, None] / system.noises**2
+            logs[j, :, i] = affine + 0.5 * explained * n / (n + 1.0) \
+                - 0.5 * (columns - affine_columns) * np.log(n + 1.0)
     return np.asarray(logs - np.log(len(ratios)))
 
 
@@ -473,11 +478,31 @@ def _priors(field_ratios: tuple[float, ...],
     for smoothness in SMOOTHNESSES:
         for lengths in LENGTHS:
             yield equal, lengths, smoothness, field_ratios
-    unequal = FIELD_PROBABILITY * UNEQUAL_PROBABILITY / len(UNEQUAL_LENGTHS) \
-        / len(UNEQUAL_SMOOTHNESSES)
+    unequal = FIELD_PROBABILITY * UNEQUAL_PROBABILITY \
+        / (len(UNEQUAL_LENGTHS) * len(UNEQUAL_SMOOTHNESSES) + len(SWATH_LENGTHS))
     for smoothness in UNEQUAL_SMOOTHNESSES:
         for lengths in UNEQUAL_LENGTHS:
             yield unequal, lengths, smoothness, field_ratios
+    for lengths in SWATH_LENGTHS:
+        yield unequal, lengths, SWATH_SMOOTHNESS, field_ratios
+
+
+def _determined_trend(positions: FloatArray, rows: IntArray) -> FloatArray | None:
+    """Return the trend of the highest degree that rows of positions determine, (n, f), or None."""
+    for columns in reversed(TREND_COLUMNS[1:]):
+        trend = _trend_of(positions, columns)
+        if np.linalg.matrix_rank(trend[rows]) == columns:
+            return trend
+    return None
+
+
+def _trend_of(positions: FloatArray, columns: int) -> FloatArray:
+    """Return so many columns of a cubic trend at positions (m, 2), those of low degree first."""
+    line, sample = positions.T
+    cubic = np.column_stack([np.ones(len(positions)), line, sample,
+                             line**2, line * sample, sample**2,
+                             line**3, line**2 * sample, line * sample**2, sample**3])
+    return cubic[:, :columns]
 
 
 def _affine(ground: FloatArray) -> FloatArray:

@@ -159,9 +159,13 @@ def _places_in_viewer(fitted: Fit, by_points: Forward) -> tuple[FloatArray, Floa
 
     Places that it puts nowhere are left out.
     """
-    # All over the image, as a viewer shows all of it, and not at the points alone.
-    at = places(fitted)
     height = float(fitted.ground_box()[0][2]) if fitted.model.uses_height else 0.0
+    # All over the image, as a viewer shows all of it, and not at the points alone; but not in the
+    # sky of an oblique photo, where no place is right.
+    at = places(fitted)
+    on_ground = np.isfinite(fitted.locate(at, np.full(len(at), height))).all(axis=1)
+    if on_ground.any():
+        at = at[on_ground]
     # Web Mercator ends at the poles, and a transformation may leave it.
     lonlat = degrees(by_points(at))
     is_finite = np.isfinite(lonlat).all(axis=1)
